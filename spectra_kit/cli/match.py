@@ -32,7 +32,8 @@ from spectra_kit.correspondence import (
 )
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, creature_pair, write
-from spectra_kit.geometry.formats._arrays import text_lines, whole
+from spectra_kit.geometry.formats._arrays import whole
+from spectra_kit.geometry.formats._text import text_lines
 from spectra_kit.geometry.formats.numpy_arrays import read_npy
 from spectra_kit.matching import Match, Prepared, match, match_part, prepare
 from spectra_kit.matching.prepare import LOWEST_K

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from spectra_kit._checked import checked
-from spectra_kit._validate import check_points, quantity, warn
+from spectra_kit._validate import quantity, warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry.io import read
-from spectra_kit.geometry.polygons import Polygons, triangulate
+from spectra_kit.geometry.polygons import Polygons, surface
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 
 _OTHERS = (
@@ -75,7 +75,8 @@ def adapted(thing: Any) -> Geometry:
     if isinstance(thing, str | os.PathLike):
         return read(thing)
     # By the names of the modules: no package is imported for what is not its own.
-    toolkits = {base.__module__.partition(".")[0] for base in type(thing).__mro__}
+    bases = () if isinstance(thing, np.ndarray) else type(thing).__mro__
+    toolkits = {base.__module__.partition(".")[0] for base in bases}
     for toolkit, made_of in _TOOLKITS.items():
         if toolkit in toolkits:
             return made_of(thing)
@@ -90,7 +91,7 @@ def adapted(thing: Any) -> Geometry:
                 )
             return TriangleMesh(_spatial(points), faces)
         if is_ragged and not others:
-            return _of_polygons(points, [Polygons.of(faces)])
+            return surface(_spatial(points), Polygons.of(faces))
     if all(_is_table(getattr(thing, name, None)) for name in ("vertices", "faces")):
         return TriangleMesh(np.asarray(thing.vertices), np.asarray(thing.faces))
     if not isinstance(thing, bytes) and (
@@ -111,10 +112,12 @@ def _of_trimesh(thing: Any) -> Geometry:
 
 
 def _of_vtk(thing: Any) -> Geometry:
-    if not hasattr(thing, "point_data"):  # VTK's own, which PyVista wraps
-        import pyvista
+    import pyvista  # which is slow to import
 
-        thing = pyvista.wrap(thing)
+    return _of_pyvista(pyvista.wrap(thing))
+
+
+def _of_pyvista(thing: Any) -> Geometry:
     if not hasattr(thing, "GetNumberOfPolys"):
         whole = "combine()." if hasattr(thing, "combine") else ""
         raise _refused(thing, f"its surface is {whole}extract_surface()")
@@ -130,8 +133,8 @@ def _of_vtk(thing: Any) -> Geometry:
     width = table[0] + 1  # each row begins with the number of its corners
     is_regular = len(table) == width * thing.GetNumberOfPolys()
     if is_regular and (table[::width] == table[0]).all():
-        return _of_polygons(thing.points, [Polygons.of(table.reshape(-1, width)[:, 1:])])
-    return _of_polygons(thing.points, [Polygons.of(thing.irregular_faces)])
+        return surface(thing.points, Polygons.of(table.reshape(-1, width)[:, 1:]))
+    return surface(thing.points, Polygons.of(thing.irregular_faces))
 
 
 def _of_meshio(thing: Any) -> Geometry:
@@ -150,7 +153,8 @@ def _of_meshio(thing: Any) -> Geometry:
     if not polygons or any(kind.startswith(("triangle", "quad")) for kind in others):
         raise _refused(thing, "its surface is pyvista.wrap(mesh).extract_surface()")
     _warn_of(others)
-    return _of_polygons(thing.points, polygons)
+    joined = Polygons(*map(np.concatenate, zip(*polygons, strict=True)))
+    return surface(_spatial(thing.points), joined)
 
 
 def _of_lapy(thing: Any) -> Geometry:
@@ -197,7 +201,7 @@ def _of_torch_geometric(thing: Any) -> Geometry:
 
 _TOOLKITS: dict[str, Callable[[Any], Geometry]] = {
     "trimesh": _of_trimesh,
-    "pyvista": _of_vtk,
+    "pyvista": _of_pyvista,  # whose classes are VTK's, too
     "vtkmodules": _of_vtk,
     "meshio": _of_meshio,
     "lapy": _of_lapy,
@@ -206,12 +210,6 @@ _TOOLKITS: dict[str, Callable[[Any], Geometry]] = {
     "pymeshlab": _of_pymeshlab,
     "torch_geometric": _of_torch_geometric,
 }
-
-
-def _of_polygons(points: Any, polygons: Sequence[Polygons]) -> TriangleMesh:
-    points = check_points("points", _spatial(points))
-    joined = Polygons(*map(np.concatenate, zip(*polygons, strict=True)))
-    return TriangleMesh(points, triangulate(points, joined))
 
 
 def _spatial(points: Any) -> Any:

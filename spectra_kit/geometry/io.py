@@ -20,6 +20,7 @@ from spectra_kit.geometry.formats import gltf, numpy_arrays, obj, off, ply, stl,
 from spectra_kit.geometry.formats._arrays import Arrays
 from spectra_kit.geometry.formats._room import PACKED, format_of, unpacked
 from spectra_kit.geometry.formats.foreign import advice_for
+from spectra_kit.geometry.polygons import surface
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 
 READERS: dict[str, Callable[[Path], Arrays]] = {
@@ -120,15 +121,11 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     try:
         with hearing() as heard, unpacked(path) as plain:
             points, faces = reader(plain)
+            geometry = _geometry(points, faces, kind)
         if heard:
             told = "; ".join(dict.fromkeys(map(str, heard)))
             warn(told, IgnoredContentWarning, where=str(path))
-        if faces is not None and kind != "cloud":
-            return TriangleMesh(points, faces)
-        if kind != "mesh":
-            return PointCloud(points)
-        problem = "holds points without faces, expected a mesh"
-        raise InvalidInputError(problem, advice="use {}", remedies=('kind="cloud"',))  # noqa: TRY301
+        return geometry  # noqa: TRY300
     except InvalidInputError as error:
         raise InvalidFileError(path, error) from error
     except MemoryError as error:
@@ -136,6 +133,18 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
             f"{path}: reading these {path.stat().st_size:,} bytes needs more memory than there is",
             advice="simplify the shape or split the file",
         ) from error
+
+
+def _geometry(points: Any, faces: Any, kind: Literal["mesh", "cloud"] | None) -> Geometry:
+    """Return what is wanted of what a reader found."""
+    if isinstance(faces, InvalidInputError) and kind != "cloud":
+        raise faces
+    if faces is not None and kind != "cloud":
+        return surface(points, faces)
+    if kind != "mesh":
+        return PointCloud(points)
+    problem = "holds points without faces, expected a mesh"
+    raise InvalidInputError(problem, advice="use {}", remedies=('kind="cloud"',))
 
 
 @checked
@@ -191,5 +200,6 @@ def _lookup(table: dict[str, Any], path: Path, action: str, advice: str = "") ->
         known = f"known are {', '.join(sorted(table))}"
         if advice:
             known = f"{advice}; {known}, packed or not ({', '.join(PACKED)})"
-        problem = InvalidInputError(f"cannot {action} the format {path.suffix!r}", advice=known)
+        named = Path(path.stem).suffix * (path.suffix.lower() in PACKED) + path.suffix
+        problem = InvalidInputError(f"cannot {action} the format {named!r}", advice=known)
         raise InvalidFileError(path, problem) from error

@@ -8,15 +8,16 @@ a hole is part of its outline, by a bridge that is passed twice.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mapbox_earcut
 import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import check_indices, quantity, warn
+from spectra_kit._validate import as_array, check_indices, quantity, warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
+from spectra_kit.geometry.shapes import TriangleMesh
 
 # All below is measured in the largest extent of each polygon, and its square.
 _ROUNDING = 1e-13  # of cross products of doubles
@@ -38,6 +39,69 @@ class Polygons(NamedTuple):
             return cls(rows.ravel(), np.full(len(rows), rows.shape[1]))
         flat = [corner for row in rows for corner in row]
         return cls(np.array(flat, dtype=np.int64), np.array([len(row) for row in rows], np.int64))
+
+
+def surface(points: Any, faces: Any) -> TriangleMesh:
+    """Return the mesh of polygons of any size, as files and other programs have them.
+
+    Faces of fewer than three corners beside proper ones, and NaN points that no face uses, are left
+    out with a warning.
+
+    Parameters
+    ----------
+    points : array_like of shape (n, 3)
+        In length.
+    faces : Polygons or array_like of shape (p, s)
+        The corners of each.
+
+    Returns
+    -------
+    TriangleMesh
+
+    Raises
+    ------
+    InvalidInputError
+        As from `TriangleMesh` and `triangulate`.
+
+    Examples
+    --------
+    >>> from spectra_kit.geometry.polygons import surface
+    >>> surface([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2, 3]])
+    TriangleMesh(4 vertices, 2 faces)
+    """
+    if not isinstance(faces, Polygons):
+        table: NDArray[Any] = as_array("faces", faces)
+        if table.ndim != 2 or table.shape[1] < 3 or table.dtype.kind not in "iu":
+            return TriangleMesh(points, table)
+        faces = Polygons.of(table)
+    corners, sizes = faces
+    proper = sizes >= 3
+    if proper.any() and not proper.all():
+        told = f"{quantity((~proper).sum(), 'face')} of fewer than 3 corners"
+        first = f"the first being face {proper.argmin()}, counted from 0"
+        warn(f"passed over {told}, {first}", IgnoredContentWarning)
+        corners, sizes = corners[np.repeat(proper, sizes)], sizes[proper]
+    points, corners = _without_unused_nan(as_array("points", points), corners)
+    if (sizes != 3).any():
+        return TriangleMesh(points, triangulate(points, Polygons(corners, sizes)))
+    return TriangleMesh(points, corners.reshape(-1, 3))
+
+
+def _without_unused_nan(points: NDArray[Any], corners: Ints) -> tuple[NDArray[Any], Ints]:
+    """Leave out points that are NaN or infinite where no face uses one of them."""
+    if points.ndim != 2 or points.dtype.kind != "f" or np.isfinite(points).all():
+        return points, corners
+    is_there = np.isfinite(points).all(axis=1)
+    corners = check_indices("faces", corners, len(points))
+    if not is_there[corners].all():
+        return points, corners
+    lost = int((~is_there).sum())
+    warn(
+        f"left out {quantity(lost, 'NaN vertex')} that no face uses, the first being vertex"
+        f" {is_there.argmin()}, counted from 0; those behind have moved up",
+        IgnoredContentWarning,
+    )
+    return points[is_there], (np.cumsum(is_there) - 1)[corners]
 
 
 def triangulate(points: Floats, polygons: Polygons | Sequence[Sequence[int]] | Ints) -> Ints:

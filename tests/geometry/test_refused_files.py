@@ -34,7 +34,7 @@ def test_what_is_damaged_below_can_be_read(tmp_path, kind):
 @pytest.mark.parametrize(
     ("kind", "old", "new", "problem"),
     [
-        ("obj", "f 1 2 3\n", "", "holds 3 vertices but no face line"),
+        ("obj", "f 1 2 3\n", "vt 0 0\n", "holds 3 vertices and texture, but no face line; .*kind="),
         ("obj", "v 0 0 0\n", "v 0 0\n", "line 1 is broken: 'v 0 0'"),
         ("obj", "v 0 0 0\n", "v 0 0 nan\n", r"finite, got 1 .* first at \(0, 2\)"),
         ("obj", "v 0 0 0\n", "v 1_0 0 0\n", "line 1 .*'1_0' is no number"),
@@ -46,8 +46,8 @@ def test_what_is_damaged_below_can_be_read(tmp_path, kind):
         ("obj", "f 1 2 3", "f 1 2", "a face must have at least 3 corners, got one with 2"),
         ("obj", "f 1 2 3", f"f 1 2 {10**20}", "line 4 is broken: .* more than 64 bits"),
         ("obj", "f 1 2 3", "f 1 2 1_0", "line 4 is broken: .*'1_0' is no integer"),
-        ("obj", "f 1 2 3", "f 1/2 2 3", "different numbers of slashes"),
-        ("obj", "f 1 2 3", "f 1 2 3\nb 1 2 3", "line 5 must begin with a keyword of OBJ"),
+        ("obj", "f 1 2 3", "f 1 2 3\nb 1 2 3", "line 5 .*must begin with a keyword of OBJ"),
+        ("obj", "f 1 2 3", "f 1 2 3\nt 1 2 3", "line 5 .*must begin with a keyword of OBJ"),
         ("obj", "f 1 2 3\n", "f 1 2 3\nf 1 2 \\", "ends in a backslash"),
         ("off", "OFF", "ply", "must start with the keyword OFF, got 'ply'"),
         ("off", EVERYTHING, "# a comment\n", "must start with the keyword OFF, got ''"),
@@ -72,7 +72,7 @@ def test_what_is_damaged_below_can_be_read(tmp_path, kind):
         ("xyz", EVERYTHING, "1,2,3\n1_0,2,3\n", "line 2 is broken: .*'1_0' is no number"),
         ("stl", FACET, "", "holds no triangle"),
         ("stl", EVERYTHING, "not an stl", "the file may be cut short or no STL"),
-        ("stl", "endsolid a", "", "between a line `solid` and"),
+        ("stl", "endsolid a", "", "no last line `endsolid`, and its surface has a boundary"),
         ("stl", "endsolid a", "endsolid a\n" + FACET, "between a line `solid` and"),
         ("stl", "0 0 0\n", "0 x 0\n", "must hold three numbers"),
         ("stl", "0 0 0\n", "1_0 0 0\n", "must hold three numbers"),

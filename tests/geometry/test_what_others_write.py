@@ -68,7 +68,8 @@ def small_indices():
 def strip():
     """Each triangle a strip of its own, joined by corners there twice."""
     file = Gltf()
-    rows = [[a, a, b, c, c, c] for a, b, c in F]  # of even length, so that each begins anew
+    following = np.roll(F[:, 0], -1)  # at an even place, from which a strip turns as it began
+    rows = [[a, b, c, c, d, d] for (a, b, c), d in zip(F, following, strict=True)]
     points, corners = file.array(V, "f4"), file.array(np.ravel(rows), "u2")
     return file.show({"mesh": file.mesh(points, corners, mode=5)})
 
@@ -102,7 +103,7 @@ def quantized(kind, scale, *, normalized):
     view = file.view(rows.tobytes(), byteStride=rows.itemsize * 4)
     code = {"i2": 5122, "u2": 5123}[kind]
     form = {"bufferView": view, "componentType": code, "count": len(V), "type": "VEC3"}
-    points = file.put("accessors", form | {"normalized": True} * normalized)
+    points = file.put("accessors", form | ({"normalized": True} if normalized else {}))
     file.tree["extensionsRequired"] = file.tree["extensionsUsed"] = ["KHR_mesh_quantization"]
     size = 2.0 if normalized else 2.0 / scale
     moved = {"translation": [-1.0] * 3} if kind[0] == "u" else {}
@@ -324,8 +325,7 @@ def test_buffers_elsewhere_are_refused_and_welcome_as_copies(tmp_path, uri):
     (tmp_path / "in/below").symlink_to(tmp_path)
     with pytest.raises(InvalidFileError, match="not a whole glTF file") as caught:
         read(path)
-    if "\0" not in uri and "%00" not in uri:
-        assert "copy it there, name it by its name alone" in str(caught.value)
+    assert "copy it there, name it by its name alone" in str(caught.value)
     shutil.copy(tmp_path / "a.bin", tmp_path / "in/copy.bin")
     tree = json.loads(path.read_text())
     tree["buffers"][0]["uri"] = "copy.bin"
@@ -364,7 +364,7 @@ def test_packed_files(tmp_path, suffix, packing):
     path = tmp_path / f"a{suffix}{packing}"
     path.write_bytes(PACK[packing](data))
     is_ball(path)
-    assert [one.path for one in find_inputs(tmp_path)] == [path]
+    assert [one.path for one in find_inputs([str(tmp_path)])] == [path]
     path.write_bytes(PACK[packing](data)[:-9])
     with pytest.raises(InvalidFileError, match=r"cannot be unpacked \(.*; the file may be cut"):
         read(path)
@@ -395,7 +395,7 @@ def test_packed_files_whose_names_mislead(tmp_path):
     path = plain().beside(tmp_path / "c.gltf", "c.bin", tmp_path / "c.bin")
     (tmp_path / "c.gltf.gz").write_bytes(gzip.compress(path.read_bytes()))
     path.unlink()
-    with pytest.raises(InvalidFileError, match="copy it there, .* and unpack what is packed"):
+    with pytest.raises(InvalidFileError, match=r"copy it there, .* and unpack what is packed"):
         read(tmp_path / "c.gltf.gz")
     path.write_bytes(gzip.decompress((tmp_path / "c.gltf.gz").read_bytes()))
     is_ball(path)
@@ -515,7 +515,7 @@ def npz_of(path, announced, held, method=zipfile.ZIP_DEFLATED):
         ),
         (
             "a.off.xz",
-            lambda path: path.write_bytes(lzma.compress(bytes(64 << 20))),
+            lambda path: path.write_bytes(lzma.compress(bytes(64 << 20), preset=0)),
             "unpacks to more",
         ),
     ],
@@ -565,7 +565,7 @@ def test_ways_on_where_a_file_is_right_to_unfold_so_far(tmp_path):
 def follow(error, pattern, **names):
     """Do what an error says, as it is written there."""
     known = {"numpy": np, "trimesh": trimesh, "pyvista": pyvista, "spectra_kit": spectra_kit}
-    return eval(re.search(pattern, str(error))[1], known | names)  # noqa: S307
+    return eval(re.search(pattern, str(error))[1], known | names)
 
 
 # --- formats of others ----------------------------------------------------------------------------
@@ -601,7 +601,7 @@ FOREIGN = [
 ]
 
 
-@pytest.mark.filterwarnings("ignore:.*algorithm:FutureWarning", "ignore::UserWarning")
+@pytest.mark.filterwarnings("ignore:The default value of `algorithm`", "ignore::UserWarning")
 @pytest.mark.parametrize(("name", "make"), FOREIGN)
 def test_unknown_formats_say_who_reads_them(tmp_path, name, make):
     path = tmp_path / name
@@ -774,7 +774,7 @@ CORNERS = np.array(
 PADDED = [size for row in OUTLINES for size in (len(row), *row)]
 
 
-@pytest.mark.filterwarnings("ignore:.*algorithm:FutureWarning")
+@pytest.mark.filterwarnings("ignore:The default value of `algorithm`")
 @pytest.mark.parametrize(
     "make",
     [
@@ -831,7 +831,7 @@ def solid():
     return pyvista.UnstructuredGrid({pyvista.CellType.TETRA: TETRAHEDRA}, SIMPLEX)
 
 
-@pytest.mark.filterwarnings("ignore:.*algorithm:FutureWarning")
+@pytest.mark.filterwarnings("ignore:The default value of `algorithm`")
 @pytest.mark.parametrize(
     ("make", "pattern", "area"),
     [
@@ -868,7 +868,7 @@ def solid():
 )
 def test_objects_that_are_no_surface_yet_say_how(make, pattern, area):
     thing = make()
-    with pytest.raises(InvalidInputError, match="must be|must have") as caught:
+    with pytest.raises(InvalidInputError, match=r"must (be|have)") as caught:
         as_geometry(thing)
     names = {"mesh": thing}
     if isinstance(thing, tuple):
@@ -876,7 +876,7 @@ def test_objects_that_are_no_surface_yet_say_how(make, pattern, area):
     if (call := re.search(pattern, str(caught.value))[1]).startswith("pyvista."):
         made = follow(caught.value, pattern, **names)
     else:
-        made = eval(f"thing.{call}")  # noqa: S307
+        made = eval(f"thing.{call}")
     np.testing.assert_allclose(as_geometry(made).area, area, rtol=1e-6)
 
 

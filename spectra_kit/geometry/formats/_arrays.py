@@ -2,39 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from spectra_kit._validate import quantity
-from spectra_kit.errors import InvalidInputError
+from spectra_kit._validate import quantity, warn
+from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
+from spectra_kit.geometry.polygons import Polygons
 
-Arrays = tuple[ArrayLike, ArrayLike | None]
-"""Points of shape (n, 3) and faces of shape (f, 3), or None where the file holds none."""
-
-
-def text_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield (line number, words) of each line that is not blank, without ``#`` comments.
-
-    A line that ends in a backslash goes on in the next one, and has the number of its last.
-    """
-    text = path.read_text(encoding="utf-8-sig", errors="replace")
-    begun = ""
-    # Not `splitlines`, which ends a comment at separators that no editor shows as one.
-    for number, line in enumerate(text.split("\n"), start=1):
-        if line.endswith("\\"):
-            begun += line[:-1] + " "
-            continue
-        whole, begun = begun + line, ""
-        words = (whole.partition("#")[0] if "#" in whole else whole).split()
-        if words:
-            yield number, words
-    if begun.split():
-        raise InvalidInputError(
-            f"ends in a backslash, after which line {number} must go on; the file may be cut short"
-        )
+Arrays = tuple[ArrayLike, ArrayLike | Polygons | InvalidInputError | None]
+"""Points of shape (n, 3) and faces: a table of corners, polygons of several sizes, what is wrong
+with them (for who wants the points alone), or None where the file holds none."""
 
 
 def broken_line(number: int, words: Sequence[str], error: ValueError) -> InvalidInputError:
@@ -46,10 +24,13 @@ def broken_line(number: int, words: Sequence[str], error: ValueError) -> Invalid
 
 
 def real(word: str) -> float:
-    """Return the number that `word` is in any program; Python alone reads ``1_0``."""
+    """Return the number that `word` is in any program; Python alone reads ``1_0``.
+
+    Microsoft's libraries write ``-nan(ind)``.
+    """
     if "_" in word or not word.isascii():
         raise ValueError(f"{word!r} is no number")
-    return float(word)
+    return float("nan") if word.lower().lstrip("+-").startswith("nan(") else float(word)
 
 
 def whole(word: str) -> int:
@@ -69,16 +50,14 @@ def position(columns: list[str], width: int) -> list[float]:
     return [real(column.strip()) for column in columns[:3]]
 
 
-def triangle_fans(polygons: Sequence[Sequence[int]]) -> NDArray[np.int64]:
-    """Cut polygons of three or more corners into triangles that share their first corner.
-
-    The order of the polygons is kept; a triangle stays as it is. Shape (f, 3).
-    """
-    shortest = min(map(len, polygons), default=3)
-    if shortest < 3:
-        raise InvalidInputError(f"a face must have at least 3 corners, got one with {shortest}")
-    if all(len(polygon) == 3 for polygon in polygons):
-        return np.array(polygons, dtype=np.int64).reshape(-1, 3)
-    return np.array(
-        [(p[0], p[i], p[i + 1]) for p in polygons for i in range(1, len(p) - 1)], dtype=np.int64
-    )
+def check_rest(rest: bytes, is_row: bool) -> None:
+    """Tell of bytes behind the announced end of a file; refuse what is long or like more rows."""
+    if not rest.strip(b"\0\x1a \t\r\n"):
+        return
+    told = f"{quantity(len(rest), 'byte')} more than its header announces"
+    if is_row:
+        raise InvalidInputError(
+            f"holds {told}, which may be rows that it does not count; the file may be damaged",
+            advice="correct the header, or cut them off",
+        )
+    warn(f"passed over {told}", IgnoredContentWarning)

@@ -162,9 +162,13 @@ def _beside(path: Path, uri: str) -> Path | None:
     """
     name = unquote(uri).replace("\\", "/")  # as programs on Windows write it
     folders = [path.parent.resolve(), path.resolve().parent]
-    files = [(folder / name).resolve() for folder in folders]
-    inside = [file for file in files if any(map(file.is_relative_to, folders)) and file.is_file()]
-    return inside[0] if inside else None
+    try:
+        for file in ((folder / name).resolve() for folder in folders):
+            if any(map(file.is_relative_to, folders)) and file.is_file():
+                return file
+    except (OSError, ValueError, RuntimeError):  # no name of a file, or links in a ring
+        pass
+    return None
 
 
 def _buffers(
@@ -203,7 +207,10 @@ def _buffers(
 def _parts(
     tree: dict[str, Any], arrays: _Accessors, passed: Counter[str]
 ) -> Iterator[tuple[Floats, Ints | None]]:
-    """Yield points and faces (None for a point set) of all that the scene shows, in its place."""
+    """Yield points and faces (None for a point set) of all that the scene shows, in its place.
+
+    Primitives that share their points, as those of several materials do, are one part.
+    """
     meshes = tree.get("meshes", [])
     nodes = tree.get("nodes", [])
     if "scenes" in tree:
@@ -229,22 +236,27 @@ def _parts(
         passed["skin"] += "skin" in node
         mesh = _item(meshes, node["mesh"])
         shown.add(node["mesh"])
+        turned = np.linalg.det(place[:3, :3]) < 0  # a mirror turns a surface inside out
+        parts: dict[tuple[int, bool], tuple[Floats, list[Ints]]] = {}
         for primitive in mesh["primitives"]:
             mode = _known(primitive, PRIMITIVE).get("mode", TRIANGLES)
             if mode in LINES:
                 passed["curve"] += 1
                 continue
             passed["morph target"] += len(primitive.get("targets", []))
-            points = arrays.positions(primitive["attributes"]["POSITION"])
-            faces = None
+            index = primitive["attributes"]["POSITION"]
+            key = index, mode == POINTS
+            if key not in parts:
+                parts[key] = arrays.positions(index), []
+            points, surfaces = parts[key]
             if mode != POINTS:
                 corners = np.arange(len(points))
                 if "indices" in primitive:
                     corners = arrays.indices(primitive["indices"], len(points))
                 faces = _triangles(corners, mode)
-                if np.linalg.det(place[:3, :3]) < 0:  # a mirror turns a surface inside out
-                    faces = faces[:, ::-1]
-            yield points @ place[:3, :3].T + place[:3, 3], faces
+                surfaces.append(faces[:, ::-1] if turned else faces)
+        for points, surfaces in parts.values():
+            yield points @ place[:3, :3].T + place[:3, 3], np.vstack(surfaces) if surfaces else None
     passed["surface that no node shows"] = len(meshes) - len(shown)
 
 

@@ -14,6 +14,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._validate import check_faces
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays
 from spectra_kit.geometry.formats._room import MULTIPLE, room
@@ -110,7 +111,12 @@ def read_npz(path: Path) -> Arrays:
             f"{names[faces[0]]} must count from 0, where no face uses vertex 0",
             advice="subtract 1 if it counts from 1, else call it faces",
         )
-    return arrays[0], arrays[1] if faces else None
+    if not faces or arrays[1].ndim != 2 or arrays[1].shape[1] <= 3:
+        return arrays[0], arrays[1] if faces else None
+    try:  # quads, or tetrahedra: no array says which
+        return arrays[0], check_faces("faces", arrays[1], len(arrays[0]))
+    except InvalidInputError as error:
+        return arrays[0], error
 
 
 def _chosen(names: Sequence[str]) -> tuple[list[int], list[int]]:

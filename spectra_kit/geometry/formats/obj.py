@@ -3,66 +3,180 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
-from spectra_kit._validate import quantity
-from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.formats._arrays import (
-    Arrays,
-    broken_line,
-    real,
-    text_lines,
-    triangle_fans,
-    whole,
+import numpy as np
+
+from spectra_kit._types import Floats
+from spectra_kit._validate import quantity, warn
+from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
+from spectra_kit.geometry.formats._arrays import Arrays, broken_line, real, whole
+from spectra_kit.geometry.formats._text import (
+    Lines,
+    lines_of,
+    numbers,
+    passed_over,
+    text_of,
+    without_comment,
+    without_comments,
 )
+from spectra_kit.geometry.polygons import Polygons
 from spectra_kit.geometry.shapes import TriangleMesh
 
-# All that a line may begin with: other words are damage, which may have taken a face.
-KEYWORDS = re.compile(
-    "v|f|vt|vn|vp|g|s|mg|o|p|l|curv|curv2|surf|fo|deg|bmat|step|cstype|parm|trim|hole|scrv|sp|end"
-    "|con|bevel|c_interp|d_interp|lod|usemtl|mtllib|usemap|maplib|shadow_obj|trace_obj|ctech|stech"
-    "|call|csh"
+# Lines of numbers, which a backslash continues, and of names, which may end in one.
+OF_NUMBERS = re.compile("v|f|vt|vn|vp|p|l|curv|curv2|surf|deg|bmat|step|parm|trim|hole|scrv|sp|con")
+OF_NAMES = re.compile(
+    "g|s|mg|o|fo|cstype|end|bevel|c_interp|d_interp|lod|usemtl|mtllib|usemap|maplib|shadow_obj"
+    "|trace_obj|ctech|stech|call|csh"
 )
+SHAPES = ("l", "curv", "curv2", "surf", "call")  # that no triangle shows
 
 
 def read(path: Path) -> Arrays:
     """Return all vertices in file order, whatever texture or group uses them, and the faces."""
-    points: list[list[float]] = []
+    text = text_of(path.read_bytes())
+    found = at_once(text)
+    return line_by_line(text) if found is None else found
+
+
+def at_once(text: bytes) -> Arrays | None:
+    """Read a file of which all is as usual; None of others."""
+    text = without_comments(text)
+    lines = None if b"\\" in text else Lines.of(text)
+    if lines is None or not len(lines):
+        return None
+    begin, second, third = (lines.character(i) for i in range(3))
+    is_v, is_f = ((begin == ord(letter)) & (second <= ord(" ")) for letter in "vf")
+    is_skipped = (begin == ord("v")) & np.isin(second, list(b"tn")) & (third <= ord(" "))
+    rest = np.flatnonzero(~(is_v | is_f | is_skipped))
+    words = {text[i : i + 12].split()[0].decode() for i in lines.first[rest].tolist()}
+    if not is_f.any() or not all(map(_is_quiet, words)):
+        return None
+    of_v, of_f = lines.chosen(is_v), lines.chosen(is_f)
+    columns, sizes = lines.widths[is_v] - 1, lines.widths[is_f] - 1
+    if not {*np.unique(columns).tolist()} <= {3, 4, 6, 7}:
+        return None
+    if b"/" in of_f:
+        of_f = re.sub(rb"(?<=\d)/-?\d*(?:/-?\d+)?(?=\s|$)", b"", of_f)
+    if of_v.count(b"v") != len(columns) or of_f.count(b"f") != len(sizes):
+        return None
+    values = numbers(of_v.replace(b"v", b" "), np.float64, int(columns.sum()))
+    corners = numbers(of_f.replace(b"f", b" "), np.int64, int(sizes.sum()))
+    if values is None or corners is None or not corners.all():
+        return None
+    first = np.cumsum(columns) - columns
+    if (values[first[columns == 4] + 3] != 1).any():
+        return None
+    so_far = np.repeat(np.cumsum(is_v)[is_f], sizes)
+    corners = np.where(corners > 0, corners - 1, so_far + corners)
+    return values[first[:, None] + np.arange(3)], Polygons(corners, sizes)
+
+
+def _is_quiet(word: str) -> bool:
+    """Whether such a line says nothing of the surface."""
+    return word not in SHAPES and bool(OF_NUMBERS.fullmatch(word) or OF_NAMES.fullmatch(word))
+
+
+def line_by_line(text: bytes) -> Arrays:
+    """Read any file, and say what is wrong with it, or odd."""
+    rows: list[list[float]] = []
     polygons: list[list[int]] = []
-    for number, words in text_lines(path):
-        if not KEYWORDS.fullmatch(words[0]):
-            raise InvalidInputError(
-                f"line {number} must begin with a keyword of OBJ, got {words[0][:60]!r}; the file"
-                " may be damaged"
-            )
+    first: dict[int, tuple[int, list[str]]] = {}  # vertex of each number of columns
+    passed: dict[str, list[int]] = {}
+    textured = False
+    for number, words in _statements(text):
+        word = words[0]
         try:
-            if words[0] == "v":
-                points.append(_position(words[1:]))
-            elif words[0] == "f":
-                polygons.append(_corners(words[1:], len(points)))
+            if word == "v":
+                rows.append([real(value) for value in words[1:]])
+                columns = len(words) - 1
+                first.setdefault(
+                    -4 if columns == 4 and rows[-1][3] != 1 else columns, (number, words)
+                )
+            elif word == "f":
+                polygons.append(_corners(words[1:], len(rows)))
+            elif word in SHAPES:
+                passed.setdefault(f"{word!r} line", []).append(number)
+            elif not _is_quiet(word):
+                _check_unknown(words)
+                passed.setdefault("line of an unknown word", []).append(number)
+            textured |= word in ("vt", "usemtl")
         except ValueError as error:
             raise broken_line(number, words, error) from error
-    if not polygons:
-        raise InvalidInputError(
-            f"holds {quantity(len(points), 'vertex')} but no face line; the file may be cut short"
+    points = _positions(rows, first)
+    for noun, found in passed.items():
+        passed_over(found, noun)
+    if polygons:
+        return points, Polygons.of(polygons)
+    if textured:
+        return points, InvalidInputError(
+            f"holds {quantity(len(points), 'vertex')} and texture, but no face line; the file may"
+            " be cut short",
+            advice="of the points alone, use {}",
+            remedies=('kind="cloud"',),
         )
-    return points, triangle_fans(polygons)
+    return points, None
 
 
-def _position(words: list[str]) -> list[float]:
-    """Return x, y, z of a vertex line, which may go on with a weight, a colour or both."""
-    values = [real(word) for word in words]
-    if len(values) not in (3, 4, 6, 7):
-        raise ValueError(f"a vertex has 3 numbers, perhaps 4, 6 or 7, not {len(values)}")
-    if len(values) == 4 and values[3] != 1:
-        raise ValueError(f"the weight of a vertex must be 1, not {words[3]}")
-    return values[:3]
+def _positions(rows: list[list[float]], first: dict[int, tuple[int, list[str]]]) -> Floats:
+    """Return x, y, z; a weight of 1 or a colour may follow, and anything that follows in each row.
+
+    `first` is the first line of each number of columns; -4 where a weight is another.
+    """
+    odd = sorted(first.keys() - {3, 4, 6, 7})
+    columns = {abs(width) for width in first}
+    if odd and (columns in ({0}, {1}) or len(columns) > 1):
+        number, words = first[odd[0]]
+        problem = (
+            f"the weight of a vertex must be 1, not {words[4]}"
+            if odd[0] == -4
+            else f"a vertex has 3 numbers, perhaps 4, 6 or 7, not {odd[0]}"
+        )
+        raise broken_line(number, words, ValueError(problem))
+    if columns == {2}:
+        warn("its vertices have x and y alone: z is 0", IgnoredContentWarning)
+        return np.pad(np.array(rows), ((0, 0), (0, 1)))
+    if odd == [-4]:
+        warn("passed over weights of vertices that are not 1", IgnoredContentWarning)
+    elif odd:
+        behind = quantity(odd[0] - 3, "number")
+        warn(f"passed over {behind} behind x, y, z of each vertex", IgnoredContentWarning)
+    return np.array([row[:3] for row in rows]).reshape(-1, 3)
+
+
+def _statements(text: bytes) -> Iterator[tuple[int, list[str]]]:
+    """Yield (line number, words); a line of numbers that ends in a backslash goes on in the next.
+
+    It has the number of its last.
+    """
+    begun: list[str] = []
+    number = 0
+    for number, line in lines_of(text):
+        words = without_comment(line).split()
+        if begun or (words and OF_NUMBERS.fullmatch(words[0])):
+            words = begun + words
+            if words[-1].endswith("\\"):
+                begun = [*words[:-1], words[-1][:-1]] if words[-1] != "\\" else words[:-1]
+                continue
+        begun = []
+        if words and not words[0].startswith("//"):
+            yield number, words
+    if begun:
+        raise InvalidInputError(
+            f"ends in a backslash, after which line {number} must go on; the file may be cut short"
+        )
+
+
+def _check_unknown(words: list[str]) -> None:
+    """Refuse what may have been a vertex or a face: those of other programs have longer names."""
+    is_tag = words[0] == "t" and len(words) > 1 and words[1].isalpha()  # of subdivision surfaces
+    if not is_tag and not re.fullmatch("[A-Za-z][A-Za-z0-9_.:-]+", words[0]):
+        raise ValueError("it must begin with a keyword of OBJ")
 
 
 def _corners(words: list[str], n_so_far: int) -> list[int]:
     """Return the 0-based vertices of corners like ``7``, ``7/1/3`` or ``-1`` (the last so far)."""
-    if len({word.count("/") for word in words}) > 1:
-        raise ValueError("its corners have different numbers of slashes")
     indices = [whole(word.partition("/")[0]) for word in words]
     if 0 in indices:
         raise ValueError("vertices count from 1, and 0 is none")

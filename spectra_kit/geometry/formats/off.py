@@ -1,52 +1,168 @@
-"""Object File Format (OFF), ASCII; colours, normals and texture columns are skipped."""
+"""Object File Format (OFF), ASCII and binary; colours, normals and texture columns are skipped."""
 
 from __future__ import annotations
 
 import re
+from collections import Counter
+from itertools import islice
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
 
 from spectra_kit._validate import quantity
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.formats._arrays import (
     Arrays,
     broken_line,
+    check_rest,
     position,
     real,
-    text_lines,
-    triangle_fans,
     whole,
 )
+from spectra_kit.geometry.formats._text import (
+    Lines,
+    are_laid_out,
+    numbers,
+    passed_over,
+    text_of,
+    without_comments,
+    words_of,
+)
+from spectra_kit.geometry.polygons import Polygons
 from spectra_kit.geometry.shapes import TriangleMesh
+
+_Lines = list[tuple[int, list[str]]]
+
+
+class _Header(NamedTuple):
+    """What the first lines announce, and how many lines and words they are."""
+
+    has_weights: bool
+    n_points: int
+    n_faces: int
+    lines: int
+    words: int
 
 
 def read(path: Path) -> Arrays:
     """Return vertices and faces in file order; no faces where the header announces none."""
-    lines = list(text_lines(path))
-    n_points, n_faces, body = _header(lines)
-    if min(n_points, n_faces) < 0 or len(body) != n_points + n_faces:
+    data = path.read_bytes()
+    if start := re.match(rb"\s*(ST)?(C)?(N)?(4)?OFF[ \t]+BINARY[^\n]*\n", data):
+        widths = (3 + (start[4] is not None), 3 * (start[3] is not None))
+        return _binary(data[start.end() :], *widths, 4 * bool(start[2]) + 2 * bool(start[1]))
+    text = without_comments(text_of(data))
+    header = _header([words for _, words in islice(words_of(text), 3)])
+    found = at_once(text, header)
+    return line_by_line(text, header) if found is None else found
+
+
+def at_once(text: bytes, header: _Header) -> Arrays | None:
+    """Read a file of which all is as usual; None of others."""
+    lines = Lines.of(text)
+    n, start = header.n_points, header.lines
+    if lines is None or header.has_weights or min(n, header.n_faces) < 1:
+        return None
+    if len(lines) - start != n + header.n_faces or lines.widths[start] < 3:
+        return None
+    points, widths = lines.rows(start, start + n), lines.widths[start + n :]
+    total = int(widths.sum())
+    values = numbers(lines.part(start + n, len(lines)), np.int64, total)
+    if points is None or values is None:
+        return None
+    first = np.cumsum(widths) - widths
+    sizes = values[first]
+    behind = {*np.unique(widths - 1 - sizes).tolist()}
+    if sizes.min() < 0 or not (behind <= {0, 3, 4} or behind == {1}):
+        return None
+    place = np.arange(total) - np.repeat(first, widths)
+    corners = values[(place > 0) & (place <= np.repeat(sizes, widths))]
+    return points[:, :3], Polygons(corners, sizes)
+
+
+def line_by_line(text: bytes, header: _Header) -> Arrays:
+    """Read any file, and say what is wrong with it, or odd."""
+    lines = list(words_of(text))
+    try:
+        return _parsed(lines[header.lines :], header)
+    except InvalidInputError:
+        if rows := _rows_of_flow(lines, header):
+            return _parsed(rows, header)
+        raise
+
+
+def _parsed(body: _Lines, header: _Header) -> Arrays:
+    n_points, n_faces = header.n_points, header.n_faces
+    n = n_points + n_faces
+    if min(n_points, n_faces) < 0 or len(body) < n or _hold_faces(body[n:]):
         raise InvalidInputError(
             f"the header announces {quantity(n_points, 'vertex')} and {quantity(n_faces, 'face')},"
             f" followed by {quantity(len(body), 'line')}; the file may be cut short"
         )
     points: list[list[float]] = []
     polygons: list[list[int]] = []
-    colours: set[int] = set()
-    for i, (number, words) in enumerate(body):
+    colours: Counter[int] = Counter()
+    width = max(len(body[0][1]), 3) if body else 3
+    for i, (number, words) in enumerate(body[:n]):
         try:
             if i < n_points:
-                points.append(position(words, max(len(body[0][1]), 3)))
+                points.append(position(words, width))
+                if header.has_weights:
+                    points[-1] = _divided(points[-1], words)
             else:
                 corners, colour = _corners(words)
                 polygons.append(corners)
-                colours.add(colour)
+                colours[colour] += 1
         except ValueError as error:
             raise broken_line(number, words, error) from error
-    if not colours <= {0, 3, 4} and colours != {1}:
+    # One number behind one face alone is the end of an index that was torn in two.
+    if not colours.keys() <= {0, 1, 3, 4} or colours[1] == 1 < len(polygons):
         raise InvalidInputError(
             f"after its corners a face must have no number, 3 or 4 for a colour, or 1 in all, got"
             f" {' or '.join(map(str, sorted(colours)))}; the file may be damaged"
         )
-    return points, triangle_fans(polygons) if polygons else None
+    passed_over([number for number, _ in body[n:]], "line behind the faces")
+    return points, Polygons.of(polygons) if polygons else None
+
+
+def _hold_faces(lines: _Lines) -> bool:
+    """Whether one of these lines, more than are announced, could be a vertex or a face."""
+    for _, (first, *others) in lines:
+        size = int(first) if first.isdecimal() and len(first) < 9 else 0
+        if len(others) >= size >= 3 or any("." in word for word in others):
+            return True
+    return False
+
+
+def _rows_of_flow(lines: _Lines, header: _Header) -> _Lines:
+    """Return rows of numbers that flow, whatever lines they stand on; nothing where none fit.
+
+    Nothing tells corners from colours then, of which there can be none.
+    """
+    flow = [(number, word) for number, words in lines for word in words][header.words :]
+    rows: _Lines = []
+    end = 0
+    for i in range(min(header.n_points + header.n_faces, len(flow))):
+        number, word = flow[end] if end < len(flow) else (0, "")
+        if i >= header.n_points and not re.fullmatch(r"\d{1,9}", word):
+            return []
+        size = 3 + header.has_weights if i < header.n_points else 1 + int(word)
+        rows.append((number, [word for _, word in flow[end : end + size]]))
+        end += size
+    widths = np.array([len(words) for _, words in rows], dtype=np.int64)
+    breaks = np.cumsum([len(words) for _, words in lines]) - header.words
+    n = header.n_points
+    of_points = are_laid_out(widths[:n], 0, breaks, lists=False)
+    of_faces = are_laid_out(widths[n:], int(widths[:n].sum()), breaks, lists=True)
+    return rows if end == len(flow) and of_points and of_faces else []
+
+
+def _divided(point: list[float], words: list[str]) -> list[float]:
+    """Return x, y, z of a point in four coordinates, of which the last divides the others."""
+    weight = real(words[3]) if len(words) > 3 else 0.0
+    if weight == 0:
+        raise ValueError("a fourth coordinate must be there, and not 0")
+    return point if weight == 1 else [value / weight for value in point]
 
 
 def _corners(words: list[str]) -> tuple[list[int], int]:
@@ -58,25 +174,62 @@ def _corners(words: list[str]) -> tuple[list[int], int]:
     return corners, len([real(word) for word in words[size + 1 :]])
 
 
-def _header(lines: list[tuple[int, list[str]]]) -> tuple[int, int, list[tuple[int, list[str]]]]:
-    """Return the announced numbers of vertices and faces, and the lines after the header."""
-    words = lines[0][1] if lines else []
+def _header(lines: list[list[str]]) -> _Header:
+    """Return what the first lines announce: a keyword, which may be absent, and three counts."""
+    first = lines[0] if lines else [""]
     # Some files glue the counts to the keyword, as in "OFF490 518 0".
-    keyword = re.fullmatch(r"(?:ST)?C?N?OFF(\d*)", words[0]) if words else None
-    if keyword is None:
-        start = words[0][:20] if words else ""
-        raise InvalidInputError(f"must start with the keyword OFF, got {start!r}")
-    counts, body = [*keyword.groups(), *words[1:]], lines[1:]
-    counts = [count for count in counts if count]
-    if not counts and body:
-        counts, body = body[0][1], body[1:]
+    keyword = re.fullmatch(r"(?:ST)?C?N?(4?)(n?)OFF(\d*)|(off)(\d*)", first[0])
+    if keyword is None and not all(map(str.isdecimal, first)):
+        raise InvalidInputError(f"must start with the keyword OFF, got {first[0][:20]!r}")
+    glued = (keyword[3] or keyword[5]) if keyword else ""
+    counts = [*([glued] if glued else []), *(first[1:] if keyword else first)]
+    used = 1
+    dimension = "3"
+    if keyword and keyword[2]:
+        if not counts:
+            counts, used = lines[1] if len(lines) > 1 else [], 2
+        dimension, *counts = counts or [""]
+    if not counts and len(lines) > used:
+        counts, used = lines[used], used + 1
     try:
         n_points, n_faces = (whole(count) for count in counts[:2])
     except ValueError as error:
         raise InvalidInputError(
             f"must announce its numbers of vertices and faces, got {' '.join(counts)[:60]!r}"
         ) from error
-    return n_points, n_faces, body
+    if dimension != "3":
+        raise InvalidInputError(f"must have vertices of 3 coordinates, got {dimension[:20]}")
+    words = sum(map(len, lines[:used])) - max(len(counts) - 3, 0)
+    return _Header(bool(keyword and keyword[1]), n_points, n_faces, used, words)
+
+
+def _binary(body: bytes, width: int, *others: int) -> Arrays:
+    """Read numbers of four bytes, the largest first: counts, vertices, and faces with colours."""
+    whole_numbers = np.frombuffer(body, ">i4", len(body) // 4).tolist()
+    end = 3
+    problem = "the header announces more than the file holds; it may be cut short"
+    if len(whole_numbers) < 3:
+        raise InvalidInputError(problem)
+    n_points, n_faces = whole_numbers[:2]
+    columns = width + sum(others)
+    end += n_points * columns
+    if min(n_points, n_faces) < 0 or end > len(whole_numbers):
+        raise InvalidInputError(problem)
+    points = np.frombuffer(body, ">f4", n_points * columns, 12).reshape(n_points, columns)
+    points = points[:, :width].astype(np.float64)
+    if width == 4:
+        points = points / points[:, 3:]
+    polygons: list[list[int]] = []
+    for _ in range(n_faces):
+        size = whole_numbers[end] if end < len(whole_numbers) else -1
+        colour = whole_numbers[end + 1 + size] if 0 <= size < len(whole_numbers) - end - 1 else -1
+        polygons.append(whole_numbers[end + 1 : end + 1 + size])
+        end += 2 + size + colour
+        if colour < 0 or end > len(whole_numbers):
+            raise InvalidInputError(problem)
+    rest = whole_numbers[end : end + 1]
+    check_rest(body[4 * end :], bool(rest) and 3 <= rest[0] <= len(whole_numbers) - end - 2)
+    return points[:, :3], Polygons.of(polygons) if polygons else None
 
 
 def write(mesh: TriangleMesh, path: Path) -> None:

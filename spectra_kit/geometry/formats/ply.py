@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.formats._arrays import Arrays, triangle_fans, whole
+from spectra_kit._types import Floats, Ints
+from spectra_kit._validate import quantity, warn
+from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
+from spectra_kit.geometry.formats._arrays import Arrays, check_rest, real, whole
+from spectra_kit.geometry.formats._text import Lines, are_laid_out, numbers, text_of
+from spectra_kit.geometry.polygons import Polygons
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 
 TYPES = {
@@ -19,11 +25,14 @@ TYPES = {
 }
 TYPES |= {"char": "i1", "short": "i2", "int": "i4", "uchar": "u1", "ushort": "u2", "uint": "u4"}
 TYPES |= {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
+_BLOCK = 1 << 18
 ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 CORNERS = ("vertex_indices", "vertex_index")
+STRIPS = "tristrips"  # as scanners and Stanford's tools write: corners of a band, -1 between bands
 
-Columns = dict[str, NDArray[np.generic] | list[NDArray[np.generic]]]
+Columns = dict[str, NDArray[Any] | Polygons]
+"""By property: a number or a list of each row; lists of several lengths one after the other."""
 
 
 @dataclass(frozen=True)
@@ -47,35 +56,44 @@ def read(path: Path) -> Arrays:
     offset = 0
     for element in elements:
         columns[element.name], offset = _read_element(element, body, offset)
-    if body[offset:].strip():
-        raise InvalidInputError(
-            f"holds {len(body) - offset} bytes more than its header announces; it may be damaged"
-        )
-    # Where a number is torn in two, rows that follow may still add up to what is announced.
-    if lines and not np.isin(lines, _row_ends(elements, columns)).all():
-        raise InvalidInputError("a row must end where its line ends; the file may be damaged")
+    points = _points(columns.get("vertex", {}))
     try:
-        points = np.column_stack([columns["vertex"][axis] for axis in "xyz"])
-    except KeyError as error:
-        raise InvalidInputError(f"has no vertices with x, y and z (missing {error})") from error
-    n_faces = sum(element.count for element in elements if element.name == "face")
-    return points, _faces(columns["face"]) if n_faces else None
+        faces: Polygons | InvalidInputError | None = _faces(elements, columns)
+    except InvalidInputError as error:  # who wants the points alone need not know
+        faces = error
+    if lines is None:
+        check_rest(body[offset:], _is_part(elements, body[offset:], faces))
+    elif len(body) > offset:
+        raise InvalidInputError(
+            f"holds {(len(body) - offset) // 8} numbers more than its header announces; it may be"
+            " damaged"
+        )
+    else:
+        _check_layout(elements, columns, lines)
+    return points, faces
 
 
-def _split(data: bytes) -> tuple[list[_Element], bytes, list[int]]:
-    """Return the announced elements, the bytes after the header, and where lines of numbers end."""
-    end = re.search(rb"^end_header[ \t]*\r?$\n?", data, re.MULTILINE)
-    head = data[: end.start() if end else 0].split(b"\n")
+def _split(data: bytes) -> tuple[list[_Element], bytes, Ints | None]:
+    """Return the announced elements, the bytes after the header, and where lines of numbers end.
+
+    Where lines end is None of a binary file.
+    """
+    if data[:1] != b"p":
+        data = text_of(data)
+    end = re.search(rb"^end_header[ \t]*(?:\r\n?|\n|$)", data.replace(b"\r", b"\n"), re.MULTILINE)
+    head = data[: end.start() if end else 0].replace(b"\r", b"\n").split(b"\n")
     lines = [[word.decode("latin-1") for word in line.split()] for line in head if line.split()]
     if not end or not lines or lines[0] != ["ply"]:
         raise InvalidInputError("must begin with a PLY header; the file may be cut short")
-    body = data[end.end() :]
+    is_pair = data[end.end() - 1 : end.end() + 1] == b"\r\n"
+    body = data[end.end() + is_pair :]
     encoding = next((" ".join(words[1:2]) for words in lines if words[0] == "format"), "")
     if encoding not in ORDERS:
         raise InvalidInputError(f"the format must be one of {', '.join(ORDERS)}, got {encoding!r}")
     # ASCII bodies are turned into doubles below, so that one reader serves both.
     types = dict.fromkeys(TYPES, "f8") if encoding == "ascii" else TYPES
     elements: list[_Element] = []
+    unknown: list[str] = []
     try:
         for words in lines[1:]:
             match words:
@@ -89,12 +107,19 @@ def _split(data: bytes) -> tuple[list[_Element], bytes, list[int]]:
                     elements[-1].properties.append(_Property(name, dtype, None))
                 case ["format" | "comment" | "obj_info", *_]:
                     pass
+                case [_, *_] if not elements:  # a comment without its word, as Blender once wrote
+                    unknown.append(" ".join(words))
                 case _:
                     raise ValueError(f"{words[0]!r} begins no such line")  # noqa: TRY301
     except (ValueError, LookupError) as error:
         raise InvalidInputError(f"the header line {' '.join(words)!r} is broken") from error
     _check(elements)
-    return (elements, *_doubles(body)) if encoding == "ascii" else (elements, body, [])
+    if unknown:
+        told = f"passed over {quantity(len(unknown), 'line')} of the header, {unknown[0][:60]!r}"
+        warn(told, IgnoredContentWarning)
+    if encoding != "ascii":
+        return elements, body, None
+    return elements, *_without_surplus(elements, *_doubles(text_of(body)))
 
 
 def _check(elements: list[_Element]) -> None:
@@ -104,12 +129,7 @@ def _check(elements: list[_Element]) -> None:
             raise InvalidInputError(f"cannot hold {element.count} rows of {element.name!r}")
         for p in element.properties:
             is_corners, is_list = p.name in CORNERS, p.size_dtype is not None
-            if element.name != "face" and is_corners and element.count:
-                raise InvalidInputError(
-                    f"stores {p.name} of {element.name!r}, only those of 'face' are read; convert"
-                    " it to a list of faces first"
-                )
-            if (is_corners and not is_list) or (is_list and p.name in ("x", "y", "z")):
+            if (is_corners and not is_list) or (is_list and p.name.lower() in ("x", "y", "z")):
                 raise InvalidInputError(
                     f"{p.name!r} must be a {'number' if is_list else 'list'}, got a"
                     f" {'list' if is_list else 'number'}"
@@ -119,18 +139,63 @@ def _check(elements: list[_Element]) -> None:
             raise InvalidInputError(f"the header must name each thing once, got {', '.join(names)}")
 
 
-def _doubles(body: bytes) -> tuple[bytes, list[int]]:
-    """Return the numbers of a text in binary, and how many there are up to the end of each line."""
+def _doubles(text: bytes) -> tuple[Floats, Ints]:
+    """Return the numbers of a text, and how many there are up to the end of each line."""
+    lines = Lines.of(text)
+    if lines is not None:
+        total = int(lines.widths.sum())
+        found = numbers(text, np.float64, total)
+        if found is not None:
+            return found, np.cumsum(lines.widths)
     words: list[str] = []
     ends = []
-    # An underscore is what Python, and it alone, reads as part of a number.
     try:
-        for line in body.replace(b"_", b"\xff").decode("ascii").replace("\r", "\n").split("\n"):
-            words += line.split()
-            ends.append(len(words))
-        return np.array(words, dtype="<f8").tobytes(), ends
+        for line in text.decode("ascii").split("\n"):
+            if row := line.split():
+                words += row
+                ends.append(len(words))
+        return np.array([real(word) for word in words]), np.array(ends, dtype=np.int64)
     except ValueError as error:
         raise InvalidInputError(f"must hold numbers only after its header ({error})") from error
+
+
+def _without_surplus(elements: list[_Element], values: Floats, lines: Ints) -> tuple[bytes, Ints]:
+    """Return the numbers without those that end each row of an element and are not announced.
+
+    Some programs write more than they declare, as many behind each row. One row alone that is
+    longer has a number that was torn in two.
+    """
+    as_they_are = values.tobytes(), lines
+    if len(lines) != sum(element.count for element in elements if element.properties):
+        return as_they_are
+    widths = np.diff(lines, prepend=0)
+    needed = np.zeros(len(lines), dtype=np.int64)
+    told = []
+    row = 0
+    for element in elements:
+        if not element.properties or not element.count:
+            continue
+        here = slice(row, row := row + element.count)
+        start, stop = lines[here] - widths[here], lines[here]
+        place = start.copy()
+        for p in element.properties:
+            place += 1
+            if p.size_dtype is not None:
+                sizes = values[np.minimum(place, stop) - 1]
+                if not (sizes == np.clip(np.rint(sizes), 0, len(values))).all():
+                    return as_they_are
+                place += sizes.astype(np.int64)
+        surplus = np.unique(stop - place)
+        if len(surplus) > 1 or surplus[0] < 0 or (surplus[0] > 0 and element.count < 2):
+            return as_they_are
+        needed[here] = place - start
+        if surplus[0]:
+            told.append(f"{quantity(surplus[0], 'number')} behind each row of {element.name!r}")
+    if not told:
+        return as_they_are
+    warn(f"passed over {' and '.join(told)}, which its header announces not", IgnoredContentWarning)
+    within = np.arange(len(values)) - np.repeat(lines - widths, widths)
+    return values[within < np.repeat(needed, widths)].tobytes(), np.cumsum(needed)
 
 
 def _read_element(element: _Element, body: bytes, start: int) -> tuple[Columns, int]:
@@ -139,7 +204,7 @@ def _read_element(element: _Element, body: bytes, start: int) -> tuple[Columns, 
         return {}, start
     first, _ = _read_rows(element, body, start, 1)
     # Nearly always the lists have one length, that of the first row: then all is one table.
-    sizes = {p.name: len(first[p.name][0]) for p in element.properties if p.size_dtype is not None}
+    sizes = {name: int(c.sizes[0]) for name, c in first.items() if isinstance(c, Polygons)}
     fields: list[tuple[str, np.dtype[np.generic], tuple[int, ...]]] = []
     for p in element.properties:
         if p.size_dtype is not None:
@@ -154,60 +219,155 @@ def _read_element(element: _Element, body: bytes, start: int) -> tuple[Columns, 
 
 
 def _read_rows(element: _Element, body: bytes, offset: int, count: int) -> tuple[Columns, int]:
-    """Read `count` rows one by one, whose lists may have any length."""
-    columns: dict[str, list[NDArray[np.generic]]] = {p.name: [] for p in element.properties}
+    """Read `count` rows whose lists may have any length: where they stand, one by one."""
+    sizes: dict[str, list[int]] = {p.name: [] for p in element.properties}
+    places: dict[str, list[int]] = {p.name: [] for p in element.properties}
+    steps = [
+        (p.name, p.dtype.itemsize, p.size_dtype and _unpacker(p.size_dtype))
+        for p in element.properties
+    ]
     try:
         for _ in range(count):
-            for p in element.properties:
+            for name, itemsize, unpack in steps:
                 size = 1
-                if p.size_dtype is not None:
-                    (announced,) = np.frombuffer(body, p.size_dtype, 1, offset).tolist()
+                if unpack is not None:
+                    (announced,) = unpack.unpack_from(body, offset)
                     if not 0 <= announced <= len(body) or announced != int(announced):
-                        raise ValueError(f"{p.name!r} cannot have {announced} entries")  # noqa: TRY301
+                        raise ValueError(f"{name!r} cannot have {announced} entries")  # noqa: TRY301
                     size = int(announced)
-                    offset += p.size_dtype.itemsize
-                values = np.frombuffer(body, p.dtype, size, offset) if size else np.empty(0)
-                columns[p.name].append(values)
-                offset += values.nbytes
-    except ValueError as error:
+                    offset += unpack.size
+                    sizes[name].append(size)
+                places[name].append(offset)
+                offset += size * itemsize
+            if offset > len(body):
+                raise ValueError(f"{offset} bytes where there are {len(body)}")  # noqa: TRY301
+    except (ValueError, struct.error) as error:
         raise InvalidInputError(
             f"ends before the {element.count} rows of {element.name!r} that its header announces"
             f" ({error}); the file may be cut short or damaged"
         ) from error
-    return dict(columns), offset
+    columns: Columns = {}
+    for p in element.properties:
+        lengths = np.array(sizes[p.name], dtype=np.int64)
+        where = np.array(places[p.name], dtype=np.int64)
+        if p.size_dtype is None:
+            columns[p.name] = _gathered(body, where, p.dtype)
+        else:
+            within = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+            where = np.repeat(where, lengths) + p.dtype.itemsize * within
+            columns[p.name] = Polygons(_gathered(body, where, p.dtype), lengths)
+    return columns, offset
 
 
-def _row_ends(elements: list[_Element], columns: dict[str, Columns]) -> NDArray[np.int64]:
-    """Return how many numbers there are up to the end of each row, and 0."""
-    widths = [np.zeros(1, dtype=np.int64)]
+def _unpacker(dtype: np.dtype[np.generic]) -> struct.Struct:
+    letters = {"i": "bhiq", "u": "BHIQ", "f": "  fd"}[dtype.kind]
+    return struct.Struct(
+        f"{'>' if dtype.byteorder == '>' else '<'}{letters[dtype.itemsize.bit_length() - 1]}"
+    )
+
+
+def _gathered(body: bytes, places: Ints, dtype: np.dtype[np.generic]) -> NDArray[Any]:
+    """Return the numbers that begin at these bytes."""
+    found = np.empty(len(places), dtype=dtype)
+    whole_body = np.frombuffer(body, dtype=np.uint8)
+    for start in range(0, len(places), _BLOCK):
+        some = slice(start, start + _BLOCK)
+        at = places[some, None] + np.arange(dtype.itemsize)
+        found[some] = whole_body[at].view(dtype).ravel()
+    return found
+
+
+def _is_part(elements: list[_Element], rest: bytes, faces: Any) -> bool:
+    """Whether bytes behind the announced end may be of what is announced.
+
+    That is for a header, or a row before, that is damaged; only whole faces show that it is not.
+    """
+    if isinstance(faces, Polygons) and (faces.sizes < 3).any():
+        return True
+    if not isinstance(faces, Polygons) or elements[-1].name not in ("face", STRIPS):
+        return True
+    try:
+        columns, end = _read_rows(elements[-1], rest, 0, 1)
+    except InvalidInputError:
+        return False
+    sizes = [column.sizes[0] for column in columns.values() if isinstance(column, Polygons)]
+    return len(rest) % end == 0 and max(sizes) >= 3
+
+
+def _check_layout(elements: list[_Element], columns: dict[str, Columns], lines: Ints) -> None:
+    """Refuse text whose rows overlap with its lines, which end behind so many numbers."""
+    start = 0
     for element in elements:
-        if not columns[element.name]:
-            continue
-        widths.append(np.zeros(element.count, dtype=np.int64))
-        for p in element.properties:
-            lists = columns[element.name][p.name]
-            if p.size_dtype is None:
-                widths[-1] += 1
-            elif isinstance(lists, np.ndarray):
-                widths[-1] += 1 + lists.shape[1]
+        widths = np.zeros(element.count if columns[element.name] else 0, dtype=np.int64)
+        for column in columns[element.name].values():
+            if isinstance(column, Polygons):
+                widths += 1 + column.sizes
             else:
-                widths[-1] += [1 + len(values) for values in lists]
-    return np.cumsum(np.concatenate(widths))
+                widths += 1 + column.shape[1] if column.ndim == 2 else 1
+        has_lists = any(p.size_dtype is not None for p in element.properties)
+        if not are_laid_out(widths, start, lines, lists=has_lists):
+            raise InvalidInputError("a row must end where its line ends; the file may be damaged")
+        start += int(widths.sum())
 
 
-def _faces(columns: Columns) -> NDArray[np.int64]:
-    named = [columns[name] for name in CORNERS if name in columns]
-    if not named:
-        found = ", ".join(columns) or "nothing"
-        raise InvalidInputError(f"faces must have vertex_indices, got {found}")
-    corners = named[0]
-    flat = np.ravel(corners) if isinstance(corners, np.ndarray) else np.concatenate(corners)
+def _points(columns: Columns) -> NDArray[Any]:
+    """Return x, y, z, whose names may be in capitals."""
+    names = {name.lower(): name for name in columns} | {name: name for name in columns}
+    try:
+        return np.column_stack([np.asarray(columns[names[axis]]) for axis in "xyz"])
+    except KeyError as error:
+        raise InvalidInputError(f"has no vertices with x, y and z (missing {error})") from error
+
+
+def _faces(elements: list[_Element], columns: dict[str, Columns]) -> Polygons | None:
+    """Return the polygons, and behind them the triangles of strips; None where there are none."""
+    found = []
+    for element in elements:
+        named = [name for name in CORNERS if name in columns[element.name]]
+        if element.name in ("face", STRIPS) and element.count:
+            if not named:
+                names = ", ".join(columns[element.name]) or "nothing"
+                raise InvalidInputError(f"faces must have vertex_indices, got {names}")
+            lists = columns[element.name][named[0]]
+            if not isinstance(lists, Polygons):
+                lists = Polygons.of(lists)
+            polygons = Polygons(_whole(lists.corners), lists.sizes)
+            found.append(_triangles(polygons) if element.name == STRIPS else polygons)
+        elif named:
+            raise InvalidInputError(
+                f"stores {named[0]} of {element.name!r}, only those of 'face' and {STRIPS!r} are"
+                " read; convert it to a list of faces",
+                advice="or use {}",
+                remedies=('kind="cloud"',),
+            )
+    if not found:
+        return None
+    return Polygons(*map(np.concatenate, zip(*found, strict=True)))
+
+
+def _whole(corners: NDArray[Any]) -> Ints:
     # Where a double holds every integer; NaN is in no range.
-    if flat.dtype.kind == "f" and not ((flat == np.rint(flat)) & (np.abs(flat) < 2**53)).all():
+    if (
+        corners.dtype.kind == "f"
+        and not ((corners == np.rint(corners)) & (np.abs(corners) < 2**53)).all()
+    ):
         raise InvalidInputError("faces must hold whole numbers")
-    if isinstance(corners, np.ndarray) and corners.shape[1] == 3:
-        return corners.astype(np.int64)
-    return triangle_fans([row.astype(np.int64).tolist() for row in corners])
+    return corners.astype(np.int64)
+
+
+def _triangles(strips: Polygons) -> Polygons:
+    """Return the triangles of bands: each corner makes one with the two before, turned in turn.
+
+    Those with a corner twice only lead from one part of a band to another.
+    """
+    corners = np.insert(strips.corners, np.cumsum(strips.sizes), -1)
+    band = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
+    place = np.arange(len(corners))
+    since = place - np.maximum.accumulate(np.where(corners == -1, place + 1, 0))
+    turned = since[: len(band)] % 2 == 1
+    band[turned] = band[turned][:, [1, 0, 2]]
+    a, b, c = band.T
+    return Polygons.of(band[(band != -1).all(axis=1) & (a != b) & (b != c) & (c != a)])
 
 
 def write(

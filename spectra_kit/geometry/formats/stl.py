@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.formats._arrays import Arrays, real
+from spectra_kit._validate import warn
+from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
+from spectra_kit.geometry.formats._arrays import Arrays, check_rest, real
+from spectra_kit.geometry.formats._text import text_of
 from spectra_kit.geometry.shapes import TriangleMesh
 
 HEADER = 80
@@ -18,6 +20,7 @@ PATTERN = np.array(WORDS, dtype=object)
 NUMBERS = PATTERN == "0"
 CORNERS = NUMBERS & (np.arange(len(PATTERN)) > 4)  # without the normal, of which nothing is asked
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+UNKNOWN = 0, 0xFFFFFFFF  # what stands for the count where a program wrote before it knew
 
 
 def read(path: Path) -> Arrays:
@@ -26,37 +29,67 @@ def read(path: Path) -> Arrays:
     The format repeats a vertex in each of its triangles; joining them is reading it, not repair.
     """
     data = path.read_bytes()
-    corners = _ascii_corners(data) if _is_ascii(data) else _binary_corners(data)
+    is_ascii = _is_ascii(data)
+    corners, is_ended = _ascii_corners(data) if is_ascii else (_binary_corners(data), True)
     if len(corners) == 0:
         raise InvalidInputError("holds no triangle")
     faces = np.arange(len(corners)).reshape(-1, 3)
     mesh = TriangleMesh(corners, faces).with_merged_vertices()
+    if not is_ended:
+        # Where a surface is closed, nothing was cut off.
+        if len(mesh.boundary_vertices):
+            raise InvalidInputError(
+                "has no last line `endsolid`, and its surface has a boundary; the file may be cut"
+                " short",
+                advice="if it is whole, add that line",
+            )
+        warn("has no last line `endsolid`, though its surface is closed", IgnoredContentWarning)
     return mesh.points, mesh.faces
 
 
 def _is_ascii(data: bytes) -> bool:
     # Binary files may begin with "solid" too, but hold zero bytes early on.
-    return data.lstrip()[:5].lower() == b"solid" and b"\0" not in data[:512]
+    start = text_of(data[:512])
+    return start.lstrip()[:5].lower() == b"solid" and b"\0" not in start
 
 
 def _binary_corners(data: bytes) -> NDArray[np.float64]:
     count = int.from_bytes(data[HEADER : HEADER + 4], "little")
-    expected = HEADER + 4 + count * FACET.itemsize
-    if len(data) != expected:
+    held, surplus = divmod(len(data) - HEADER - 4, FACET.itemsize)
+    if count in UNKNOWN and held > 0 and not surplus:
+        told = f"passed over the count in its header, {count}: it holds {held}"
+        warn(told, IgnoredContentWarning)
+        count = held
+    end = HEADER + 4 + count * FACET.itemsize
+    if len(data) < end:
         raise InvalidInputError(
-            f"the header announces {count} triangles, {expected} bytes, got {len(data)} bytes;"
+            f"the header announces {count} triangles, {end} bytes, got {len(data)} bytes;"
             " the file may be cut short or no STL"
         )
-    facets = np.frombuffer(data, dtype=FACET, offset=HEADER + 4)
+    check_rest(data[end:], is_row=not surplus or not count)
+    facets = np.frombuffer(data, dtype=FACET, count=count, offset=HEADER + 4)
     return np.asarray(facets["corners"].reshape(-1, 3), dtype=np.float64)
 
 
-def _ascii_corners(data: bytes) -> NDArray[np.float64]:
-    text = data.decode("utf-8", errors="replace").lower()
+def _ascii_corners(data: bytes) -> tuple[NDArray[np.float64], bool]:
+    """Return the corners of all facets, and whether a last line ends them."""
+    text = text_of(data).decode("utf-8", errors="replace").lower()
+    text = re.sub(r"\bend[ \t]+(solid|loop|facet)\b", r"end\1", text)
     head, *rest = re.split(r"^[ \t]*((?:end)?solid)\b.*$", text, flags=re.MULTILINE)
-    marks, parts = rest[::2], rest[1::2]
-    outside = [head, *parts[1::2]]
-    if marks != ["solid", "endsolid"] * (len(marks) // 2) or any(map(str.split, outside)):
+    # A first and a last line that are there twice are one of each.
+    marks: list[str] = []
+    parts: list[str] = []
+    outside = head.split()
+    for mark, part in zip(rest[::2], rest[1::2], strict=True):
+        if marks and marks[-1] == mark and not parts[-1].split():
+            parts[-1] = part
+            continue
+        marks.append(mark)
+        parts.append(part)
+    is_ended = len(marks) % 2 == 0
+    outside += " ".join(parts[1::2]).split()
+    pairs = ["solid", "endsolid"] * len(marks)
+    if marks != pairs[: len(marks)] or outside:
         raise InvalidInputError(
             "all facets must stand between a line `solid` and a line `endsolid`; the file may be"
             " cut short"
@@ -73,9 +106,10 @@ def _ascii_corners(data: bytes) -> NDArray[np.float64]:
             " the file may be cut short"
         )
     try:
-        return np.array([real(word) for word in facets[:, CORNERS].ravel()]).reshape(-1, 3)
+        corners = np.array([real(word) for word in facets[:, CORNERS].ravel()]).reshape(-1, 3)
     except ValueError as error:
         raise InvalidInputError(f"a vertex line must hold three numbers ({error})") from error
+    return corners, is_ended
 
 
 def write(mesh: TriangleMesh, path: Path) -> None:

@@ -1,31 +1,85 @@
-"""XYZ: one point on each line, columns parted by spaces or commas."""
+"""XYZ: one point on each line, columns parted by blanks, commas or semicolons."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
+from spectra_kit._validate import quantity
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.formats._arrays import Arrays, position, text_lines
+from spectra_kit.geometry.formats._arrays import Arrays, position, real
+from spectra_kit.geometry.formats._text import Lines, text_of, without_comments, words_of
 from spectra_kit.geometry.shapes import PointCloud
+
+Rows = list[tuple[int, str]]  # (line number, line)
 
 
 def read(path: Path) -> Arrays:
-    """Return the first three columns; every line must have the same number of columns."""
-    rows: list[list[float]] = []
-    width, mark = 0, None
-    for number, words in text_lines(path):
-        line = " ".join(words)
-        if not rows:  # what parts the columns of the first line parts all; other commas are decimal
-            mark = "," if "," in line else None
-            width = max(len(line.split(mark)), 3)
+    """Return the columns x, y, z: the first three, or those that a line of names calls so.
+
+    Every line must have the same number of columns; a count may stand in front.
+    """
+    text = text_of(path.read_bytes())
+    lines = Lines.of(without_comments(text))
+    table = None if lines is None else lines.rows(0, len(lines))
+    if table is not None and table.shape[1] >= 3:
+        return table[:, :3], None
+    rows = [(i, " ".join(words)) for i, words in words_of(text) if words[0][:2] != "//"]
+    return line_by_line(rows), None
+
+
+def line_by_line(rows: Rows) -> list[list[float]]:
+    """Read any file, and say what is wrong with it."""
+    count = rows[0][1] if rows and rows[0][1].isdecimal() else ""
+    names, rows = _names(rows[bool(count) :])
+    if count and int(count[:18]) != len(rows):
+        raise InvalidInputError(
+            f"announces {count[:18]} points, followed by {quantity(len(rows), 'line')}; the file"
+            " may be cut short"
+        )
+    # What parts the columns of the first line parts all; other commas are decimal.
+    mark = next((mark for mark in ";," if rows and mark in rows[0][1]), None)
+    width = max(len(_columns(rows[0][1], mark)), 3) if rows else 3
+    if names and len(names) != width:
+        raise InvalidInputError(
+            f"names {len(names)} columns of {width}", advice="name them all, or remove that line"
+        )
+    order = [names.index(axis) if names else i for i, axis in enumerate("xyz")]
+    points = []
+    for number, line in rows:
         try:
-            rows.append(position(line.split(mark), width))
+            values = _columns(line, mark)
+            named = [*(values[i] for i in order), *values[3:]] if len(values) == width else values
+            points.append(position(named, width))
         except ValueError as error:
             raise InvalidInputError(
                 f"line {number} is broken: {line[:60]!r} ({error}); expected {width} numbers, the"
                 " first three being x, y, z, parted by spaces or by commas, with decimal points"
             ) from error
-    return rows, None
+    return points
+
+
+def _names(rows: Rows) -> tuple[list[str], Rows]:
+    """Return what a first line without numbers calls the columns, and the other lines."""
+    names = re.sub(r"[;,\"']", " ", rows[0][1]).lower().split() if rows else []
+    if not {"x", "y", "z"} <= {*names} or any(map(_is_number, names)):
+        return [], rows
+    return names, rows[1:]
+
+
+def _columns(line: str, mark: str | None) -> list[str]:
+    """Return what stands between the marks; one may end the line, and commas are decimal then."""
+    if mark == ";":
+        line = line.replace(",", ".")
+    return (line.removesuffix(mark) if mark else line).split(mark)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        real(word)
+    except ValueError:
+        return False
+    return True
 
 
 def write(cloud: PointCloud, path: Path) -> None:
