@@ -47,7 +47,9 @@ def as_array(name: str, values: ArrayLike) -> NDArray[np.generic]:
         raise InvalidInputError(name, f"have rows of one length ({error})") from error
 
 
-def real_array(name: str, values: ArrayLike) -> Floats:
+def real_array(
+    name: str, values: ArrayLike, *, advice: str = "", remedies: tuple[str, ...] = ()
+) -> Floats:
     """Return `values` as a finite C-ordered float64 array."""
     array = as_array(name, values)
     if array.dtype.kind not in "fiu":
@@ -60,7 +62,8 @@ def real_array(name: str, values: ArrayLike) -> Floats:
             name,
             "be finite",
             f"{quantity(bad.sum(), 'NaN or infinite value')}, the first at {first}",
-            advice="leave such rows out" if floats.ndim == 2 else "",
+            advice=advice or ("leave such rows out" if floats.ndim == 2 else ""),
+            remedies=remedies,
         )
     return floats
 
@@ -71,14 +74,33 @@ def check_points(name: str, values: ArrayLike) -> Floats:
     _check_three_columns(name, array, "n")
     if len(array) == 0:
         raise InvalidInputError(name, "hold at least one point", f"shape {array.shape}")
-    return real_array(name, array)
+    advice = "{} leaves such points out, and tells which"
+    return real_array(name, array, advice=advice, remedies=("without_nan()",))
 
 
 def _check_three_columns(name: str, array: NDArray[np.generic], rows: str) -> None:
     if array.ndim != 2 or array.shape[1] != 3:
         turned = array.ndim == 2 and len(array) == 3
         hint = "did you pass its transpose?" if turned else ""
+        if array.ndim == 2 and not turned and len(array):
+            hint = _columns_advice(name, array.shape[1], rows)
         raise InvalidInputError(name, f"have shape ({rows}, 3)", array.shape, advice=hint)
+
+
+def _columns_advice(name: str, columns: int, rows: str) -> str:
+    if columns == 2 and rows == "n":
+        return f"of planar ones, numpy.column_stack([{name}, numpy.zeros(len({name}))]) makes these"
+    if columns > 3 and rows == "n":
+        return f"if normals or colours follow the coordinates, {name}[:, :3] leaves them out"
+    if columns == 4:  # both are common, and no array says which it is
+        return (
+            f"quads are taken as pyvista.PolyData.from_regular_faces(points, {name}), tetrahedra as"
+            f" pyvista.UnstructuredGrid({{pyvista.CellType.TETRA: {name}}}, points)"
+            ".extract_surface()"
+        )
+    if columns > 4:
+        return f"polygons are taken as pyvista.PolyData.from_regular_faces(points, {name})"
+    return ""
 
 
 def check_indices(name: str, values: ArrayLike, n: int) -> Ints:

@@ -15,7 +15,7 @@ from spectra_kit._checked import checked
 from spectra_kit._fingerprint import facts_digest
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidFileError, InvalidInputError
-from spectra_kit.geometry.io import READERS
+from spectra_kit.geometry.io import READERS, is_readable
 from spectra_kit.store.files import MARK
 
 _PATTERN = "*?["
@@ -176,7 +176,7 @@ def _inputs_of(source: str) -> Iterator[Input]:
 
 
 def _readable(paths: Iterable[Path]) -> list[Path]:
-    return sorted(path for path in paths if path.suffix.lower() in READERS and path.is_file())
+    return sorted(path for path in paths if is_readable(path) and path.is_file())
 
 
 def _some(source: str, paths: Sequence[Path], expected: str) -> Iterator[Input]:

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from spectra_kit._checked import checked
-from spectra_kit.errors import InvalidInputError
+from spectra_kit._validate import quantity, warn
+from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry.io import read
+from spectra_kit.geometry.polygons import Polygons, surface
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 
 _OTHERS = (
-    "a path, a mesh or cloud of trimesh or PyVista, (vertices, faces), or points of shape (n, 3)"
-    " make one, too"
+    "a path, a mesh or cloud of trimesh, PyVista or meshio, (vertices, faces), or points of shape"
+    " (n, 3) make one, too"
 )
+_CURVES = "curves are no surface; its {}, an array, make a cloud"
 
 
 def as_geometry(thing: Any) -> Geometry:
@@ -24,16 +28,25 @@ def as_geometry(thing: Any) -> Geometry:
 
     Parameters
     ----------
-    thing : TriangleMesh, PointCloud, path-like, trimesh, pyvista.PolyData, tuple or array_like
-        A `TriangleMesh` or `PointCloud` is returned as it is, a path is read. A
-        ``trimesh.Trimesh``, a ``pyvista.PolyData`` of triangles and ``(vertices, faces)`` make a
-        mesh; a ``trimesh.PointCloud``, a ``PolyData`` without faces and an array of shape (n, 3)
-        a cloud. Points keep their order and their number.
+    thing : TriangleMesh, PointCloud, path-like, tuple, array_like or object of another library
+        A `TriangleMesh` or `PointCloud` is returned as it is, a path is read. ``(vertices,
+        faces)``, a ``trimesh.Trimesh``, a ``pyvista.PolyData``, a ``meshio.Mesh``, a
+        ``lapy.TriaMesh``, a ``GiftiImage`` of nibabel, meshes of Open3D, PyMeshLab and PyTorch
+        Geometric, and whatever has vertices and faces make a mesh; an array of shape (n, 3), and
+        objects of these libraries that have points and no cells, a cloud. Points keep their order
+        and their number.
 
     Returns
     -------
     TriangleMesh or PointCloud
-        In the unit of `thing`.
+        In the unit of `thing`. Polygons become triangles. Planar vertices (n, 2) with faces get
+        z = 0.
+
+    Warns
+    -----
+    IgnoredContentWarning
+        If there is more in `thing` that is no part of a surface: lines, vertex cells and volumes
+        beside its faces, or what follows the faces in a tuple.
 
     Raises
     ------
@@ -61,14 +74,25 @@ def adapted(thing: Any) -> Geometry:
     """Make a geometry of what is none yet."""
     if isinstance(thing, str | os.PathLike):
         return read(thing)
-    # By the names of the modules: neither package is imported for what is not its own.
+    # By the names of the modules: no package is imported for what is not its own.
     toolkits = {base.__module__.partition(".")[0] for base in type(thing).__mro__}
-    if "trimesh" in toolkits:
-        return _of_trimesh(thing)
-    if "pyvista" in toolkits:
-        return _of_pyvista(thing)
-    if isinstance(thing, tuple | list) and len(thing) == 2 and all(map(_is_table, thing)):
-        return TriangleMesh(*thing)
+    for toolkit, made_of in _TOOLKITS.items():
+        if toolkit in toolkits:
+            return made_of(thing)
+    if isinstance(thing, tuple | list) and len(thing) > 1 and _is_table(thing[0]):
+        points, faces, *others = thing
+        is_ragged = isinstance(faces, list | tuple) and all(map(_is_row, faces))
+        if _is_table(faces) if not others else _is_table(faces, "iu"):
+            if others:  # as readers return normals, values and headers
+                warn(
+                    f"passed over what follows the faces: {quantity(len(others), 'item')}",
+                    IgnoredContentWarning,
+                )
+            return surface(_spatial(points), faces)
+        if is_ragged and not others:
+            return _of_polygons(points, [Polygons.of(faces)])
+    if all(_is_table(getattr(thing, name, None)) for name in ("vertices", "faces")):
+        return surface(np.asarray(thing.vertices), np.asarray(thing.faces))
     if not isinstance(thing, bytes) and (
         isinstance(thing, Sequence) or hasattr(thing, "__array__")
     ):
@@ -78,25 +102,128 @@ def adapted(thing: Any) -> Geometry:
 
 def _of_trimesh(thing: Any) -> Geometry:
     if hasattr(thing, "faces"):
-        return TriangleMesh(np.asarray(thing.vertices), np.asarray(thing.faces))
+        return surface(np.asarray(thing.vertices), np.asarray(thing.faces))
     if hasattr(thing, "entities"):
-        raise _refused(thing, "curves are no surface; its vertices, an array, make a cloud")
+        raise _refused(thing, _CURVES.format("vertices"))
     if hasattr(thing, "vertices"):
         return PointCloud(np.asarray(thing.vertices))
     raise _refused(thing, "of a Scene, scene.to_mesh() makes one mesh")
 
 
-def _of_pyvista(thing: Any) -> Geometry:
+def _of_vtk(thing: Any) -> Geometry:
+    if not hasattr(thing, "point_data"):  # VTK's own, which PyVista wraps
+        import pyvista
+
+        thing = pyvista.wrap(thing)
     if not hasattr(thing, "GetNumberOfPolys"):
         whole = "combine()." if hasattr(thing, "combine") else ""
-        raise _refused(thing, f"its surface is {whole}extract_surface().triangulate()")
-    if thing.GetNumberOfLines() or thing.GetNumberOfStrips():
-        raise _refused(thing, "it has lines or strips; triangulate() leaves triangles alone")
+        raise _refused(thing, f"its surface is {whole}extract_surface()")
+    cells = {"vertex cell": thing.GetNumberOfVerts(), "line": thing.GetNumberOfLines()}
+    if thing.GetNumberOfStrips():
+        thing = thing.triangulate()
     if not thing.GetNumberOfPolys():
+        if cells["line"]:
+            raise _refused(thing, _CURVES.format("points"))
         return PointCloud(np.asarray(thing.points))
-    if not thing.is_all_triangles:
-        raise _refused(thing, "it has faces of more than three corners; triangulate() cuts them")
-    return TriangleMesh(np.asarray(thing.points), np.asarray(thing.regular_faces))
+    _warn_of(cells)
+    table = np.asarray(thing.faces)
+    width = table[0] + 1  # each row begins with the number of its corners
+    is_regular = len(table) == width * thing.GetNumberOfPolys()
+    if is_regular and (table[::width] == table[0]).all():
+        return _of_polygons(thing.points, [Polygons.of(table.reshape(-1, width)[:, 1:])])
+    return _of_polygons(thing.points, [Polygons.of(thing.irregular_faces)])
+
+
+def _of_meshio(thing: Any) -> Geometry:
+    others: Counter[str] = Counter()
+    polygons = []
+    for block in thing.cells:
+        if block.type in ("triangle", "quad") or block.type.startswith("polygon"):
+            polygons.append(Polygons.of(block.data))
+        else:
+            others[f"{block.type} cell"] += len(block.data)
+    if not others.keys() - {"vertex cell"} and not polygons:
+        return PointCloud(_spatial(thing.points))
+    if not others.keys() - {"vertex cell", "line cell"} and not polygons:
+        raise _refused(thing, _CURVES.format("points"))
+    # Volumes have a surface; triangles with points between their corners are more of one.
+    if not polygons or any(kind.startswith(("triangle", "quad")) for kind in others):
+        raise _refused(thing, "its surface is pyvista.wrap(mesh).extract_surface()")
+    _warn_of(others)
+    return _of_polygons(thing.points, polygons)
+
+
+def _of_lapy(thing: Any) -> Geometry:
+    if np.shape(thing.t)[1] != 3:
+        raise _refused(thing, "its surface is boundary_tria()")
+    return TriangleMesh(thing.v, thing.t)
+
+
+def _of_nibabel(thing: Any) -> Geometry:
+    if not hasattr(thing, "agg_data"):
+        advice = "skimage.measure.marching_cubes(image.get_fdata(), level) makes a surface of it"
+        raise _refused(thing, advice)
+    points, faces = (thing.agg_data(kind) for kind in ("pointset", "triangle"))
+    if not (_is_table(points) and _is_table(faces)):
+        raise _refused(thing, "it holds no surface, which is a point set and its triangles")
+    return TriangleMesh(points, faces)
+
+
+def _of_open3d(thing: Any) -> Geometry:
+    if hasattr(thing, "to_legacy"):
+        thing = thing.to_legacy()
+    if hasattr(thing, "triangles") and len(thing.triangles):
+        return TriangleMesh(np.asarray(thing.vertices), np.asarray(thing.triangles))
+    if hasattr(thing, "lines") or not hasattr(thing, "points"):
+        raise _refused(thing, "of its points, an array makes a cloud")
+    return PointCloud(np.asarray(thing.points))
+
+
+def _of_pymeshlab(thing: Any) -> Geometry:
+    if hasattr(thing, "current_mesh"):
+        thing = thing.current_mesh()
+    faces = thing.face_matrix()
+    return (
+        TriangleMesh(thing.vertex_matrix(), faces)
+        if len(faces)
+        else PointCloud(thing.vertex_matrix())
+    )
+
+
+def _of_torch_geometric(thing: Any) -> Geometry:
+    faces = getattr(thing, "face", None)
+    return PointCloud(thing.pos) if faces is None else TriangleMesh(thing.pos, faces.T)
+
+
+_TOOLKITS: dict[str, Callable[[Any], Geometry]] = {
+    "trimesh": _of_trimesh,
+    "pyvista": _of_vtk,
+    "vtkmodules": _of_vtk,
+    "meshio": _of_meshio,
+    "lapy": _of_lapy,
+    "nibabel": _of_nibabel,
+    "open3d": _of_open3d,
+    "pymeshlab": _of_pymeshlab,
+    "torch_geometric": _of_torch_geometric,
+}
+
+
+def _of_polygons(points: Any, polygons: Sequence[Polygons]) -> TriangleMesh:
+    joined = Polygons(*map(np.concatenate, zip(*polygons, strict=True)))
+    return surface(_spatial(points), joined)
+
+
+def _spatial(points: Any) -> Any:
+    """Return planar points (n, 2), of what says by its faces that it is a surface, in space."""
+    planar = np.asarray(points)
+    if planar.ndim != 2 or planar.shape[1] != 2:
+        return points
+    return np.column_stack([planar, np.zeros(len(planar))])
+
+
+def _warn_of(cells: dict[str, int]) -> None:
+    if told := ", ".join(quantity(n, kind) for kind, n in cells.items() if n):
+        warn(f"passed over {told} beside the faces", IgnoredContentWarning)
 
 
 def _refused(thing: Any, advice: str) -> InvalidInputError:
@@ -104,8 +231,14 @@ def _refused(thing: Any, advice: str) -> InvalidInputError:
     return InvalidInputError("thing", "be a TriangleMesh or PointCloud", name, advice=advice)
 
 
-def _is_table(part: Any) -> bool:
+def _is_table(part: Any, kinds: str = "") -> bool:
     try:
-        return np.ndim(part) == 2
+        return np.ndim(part) == 2 and (not kinds or np.asarray(part).dtype.kind in kinds)
     except ValueError:  # rows of several lengths
         return False
+
+
+def _is_row(part: Any) -> bool:
+    return isinstance(part, list | tuple | np.ndarray) and all(
+        isinstance(corner, int | np.integer) for corner in part
+    )

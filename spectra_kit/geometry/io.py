@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path
@@ -18,8 +18,12 @@ from spectra_kit.errors import (
 )
 from spectra_kit.geometry.formats import gltf, numpy_arrays, obj, off, ply, stl, xyz
 from spectra_kit.geometry.formats._arrays import Arrays
+from spectra_kit.geometry.formats._room import PACKED, format_of, unpacked
+from spectra_kit.geometry.formats.foreign import advice_for
 from spectra_kit.geometry.polygons import surface
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+
+Made = TypeVar("Made")
 
 READERS: dict[str, Callable[[Path], Arrays]] = {
     ".glb": gltf.read,
@@ -108,8 +112,12 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     >>> bool((copy.points == mesh.points).all())
     True
     """
-    path = Path(path)
-    reader = _lookup(READERS, path, "read")
+    return content_of(Path(path), lambda points, faces: _geometry(points, faces, kind))
+
+
+def content_of(path: Path, make: Callable[[Any, Any], Made]) -> Made:
+    """Return what `make` makes of the points and faces of a file."""
+    reader = _lookup(READERS, path, "read", advice_for(path))
     if path.is_dir():
         raise InvalidFileError(path, "this is a folder, expected a file")
     if not path.exists():
@@ -117,13 +125,13 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     if path.stat().st_size == 0:
         raise InvalidFileError(path, "the file is empty")
     try:
-        with hearing() as heard:
-            points, faces = reader(path)
-            geometry = _geometry(points, faces, kind)
+        with hearing() as heard, unpacked(path) as plain:
+            points, faces = reader(plain)
+            made = make(points, faces)
         if heard:
             told = "; ".join(dict.fromkeys(map(str, heard)))
             warn(told, IgnoredContentWarning, where=str(path))
-        return geometry  # noqa: TRY300
+        return made  # noqa: TRY300
     except InvalidInputError as error:
         raise InvalidFileError(path, error) from error
     except MemoryError as error:
@@ -186,11 +194,17 @@ def write(geometry: Geometry, path: str | os.PathLike[str]) -> None:
         writer(geometry, part)
 
 
-def _lookup(table: dict[str, Any], path: Path, action: str) -> Any:
+def is_readable(path: Path) -> bool:
+    """Whether the name is that of a format that `read` knows."""
+    return format_of(path) in READERS
+
+
+def _lookup(table: dict[str, Any], path: Path, action: str, advice: str = "") -> Any:
     try:
-        return table[path.suffix.lower()]
+        return table[format_of(path) if table is READERS else path.suffix.lower()]
     except KeyError as error:
-        known = ", ".join(sorted(table))
-        raise InvalidFileError(
-            path, f"cannot {action} the format {path.suffix!r}; known are {known}"
-        ) from error
+        known = f"known are {', '.join(sorted(table))}"
+        if advice:
+            known = f"{advice}; {known}, packed or not ({', '.join(PACKED)})"
+        problem = InvalidInputError(f"cannot {action} the format {path.suffix!r}", advice=known)
+        raise InvalidFileError(path, problem) from error

@@ -19,7 +19,7 @@ from spectra_kit._validate import Brief, check_count
 from spectra_kit._version import VERSION
 from spectra_kit.errors import InvalidInputError, SpectraKitError
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh, read
-from spectra_kit.geometry.io import READERS
+from spectra_kit.geometry.io import READERS, is_readable
 from spectra_kit.learning import _files
 from spectra_kit.learning.examples import Recipe
 
@@ -184,7 +184,7 @@ def index_folder(
     """
     folder = Path(folder)
     entries = sorted(folder.iterdir()) if folder.is_dir() else []
-    files = [p for p in entries if p.suffix.lower() in READERS and p.is_file()]
+    files = [p for p in entries if is_readable(p) and p.is_file()]
     if not files:
         raise InvalidInputError(
             "folder",

@@ -1,10 +1,16 @@
-"""glTF 2.0 as one file (glb) or as JSON (gltf); written through trimesh."""
+"""glTF 2.0 as one file (glb) or as JSON (gltf); written through trimesh.
+
+Read here, not through trimesh, as that takes what is damaged for whole, what is compressed for
+empty, buffers from any folder, and as much memory as a file announces.
+"""
 
 from __future__ import annotations
 
 import base64
 import json
+from collections import Counter
 from collections.abc import Iterator
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -14,9 +20,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import check_indices
-from spectra_kit.errors import InvalidInputError
+from spectra_kit._validate import check_indices, quantity, warn
+from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays
+from spectra_kit.geometry.formats._room import MULTIPLE, room
 from spectra_kit.geometry.shapes import TriangleMesh
 
 JSON, BIN = 0x4E4F534A, 0x004E4942
@@ -29,16 +36,21 @@ HARMLESS = (
     "KHR_texture_",
     "EXT_texture_",
     "KHR_lights_",
+    "EXT_lights_",
+    "KHR_xmp",
+    "KHR_animation_",
     "KHR_mesh_quantization",
 )
 
-# What may stand in an object: another word is one of these, damaged, which has a default perhaps.
+# What may stand in an object: a word like one of these is that, damaged, which perhaps has a
+# default; other words are somebody's own.
 COMMON = {"name", "extensions", "extras"}
 NODE = COMMON | {"camera", "children", "skin", "matrix", "mesh", "weights"}
 NODE |= {"rotation", "scale", "translation"}
 PRIMITIVE = COMMON | {"attributes", "indices", "material", "mode", "targets"}
 ACCESSOR = COMMON | {"bufferView", "byteOffset", "componentType", "normalized", "count", "type"}
 ACCESSOR |= {"max", "min", "sparse"}
+SPARSE = COMMON | {"count", "indices", "values"}
 VIEW = COMMON | {"buffer", "byteOffset", "byteLength", "byteStride", "target"}
 
 # What JSON of another form than the format's makes Python raise.
@@ -48,7 +60,7 @@ BROKEN = (
     TypeError,
     AttributeError,
     OverflowError,
-    RecursionError,
+    RuntimeError,
     OSError,
 )
 
@@ -57,12 +69,17 @@ def read(path: Path) -> Arrays:
     """Return every mesh of the scene, moved to its place and stacked into one.
 
     Vertices stay in the order of the file, node after node. Curves, and point sets that stand next
-    to meshes, are left out; a scene of point sets alone gives a cloud.
+    to meshes, are left out; a scene of point sets alone gives a cloud. All arrays together take
+    what `room` says and no more, however often the scene shows one, or whatever is announced.
     """
+    passed: Counter[str] = Counter()
     try:
-        tree, binary = _split(path.read_bytes())
+        data = path.read_bytes()
+        tree, binary = _split(data, passed)
         _check_readable(tree)
-        parts = list(_parts(tree, _buffers(tree, binary, path.parent)))
+        buffers, beside = _buffers(tree, binary, path)
+        arrays = _Accessors(tree, buffers, room(len(data) + beside))
+        parts = list(_parts(tree, arrays, passed))
     except InvalidInputError:
         raise
     except BROKEN as error:
@@ -72,6 +89,11 @@ def read(path: Path) -> Arrays:
     meshes = [(points, faces) for points, faces in parts if faces is not None]
     if not parts:
         raise InvalidInputError("holds neither a mesh nor a point set")
+    if meshes:
+        passed["lone point set"] = len(parts) - len(meshes)
+    if told := ", ".join(quantity(n, noun) for noun, n in passed.items() if n):
+        rest = "; vertices stand where they rest" if passed["skin"] + passed["morph target"] else ""
+        warn(f"passed over {told}{rest}", IgnoredContentWarning)
     if not meshes:
         return np.vstack([points for points, _ in parts]), None
     starts = np.cumsum([0] + [len(points) for points, _ in meshes])
@@ -79,12 +101,13 @@ def read(path: Path) -> Arrays:
     return np.vstack([points for points, _ in meshes]), np.vstack(stacked)
 
 
-def _split(data: bytes) -> tuple[dict[str, Any], memoryview | None]:
+def _split(data: bytes, passed: Counter[str]) -> tuple[dict[str, Any], memoryview | None]:
     """Return the JSON and, of a glb, the bytes behind it."""
     binary = None
     if data[:4] == b"glTF":
         version, length = _words(data, 4)
-        if version != 2 or length > len(data) or data[length:].strip(b"\0 \t\r\n"):
+        passed["trailing byte"] = len(data[length:].strip(b"\0 \t\r\n"))
+        if version != 2 or length > len(data):
             raise InvalidInputError(
                 f"a glb must have version 2 and the {length} bytes that it announces, got version"
                 f" {version} and {len(data)} bytes; the file may be cut short"
@@ -108,9 +131,11 @@ def _check_readable(tree: dict[str, Any]) -> None:
         raise InvalidInputError(f"the version must be 2, got {version[:20]!r}")
     required = tree.get("extensionsRequired", [])
     if unknown := [name for name in required if not name.startswith(HARMLESS)]:
-        raise InvalidInputError(
-            f"requires {', '.join(unknown)}, which is not read; export it without, uncompressed"
-        )
+        raise _packed(f"requires {', '.join(unknown)}, which is not read")
+
+
+def _packed(problem: str) -> InvalidInputError:
+    return InvalidInputError(problem, advice="export it without, uncompressed")
 
 
 def _words(data: bytes, start: int) -> tuple[int, int]:
@@ -124,25 +149,45 @@ def buffer_files(path: Path) -> list[Path]:
     try:
         buffers = json.loads(path.read_bytes()).get("buffers", [])
         names = [buffer.get("uri") or "data:" for buffer in buffers]
-    except (ValueError, AttributeError, TypeError):
+        files = [_beside(path, name) for name in names if not name.startswith("data:")]
+    except BROKEN:
         return []  # to read it tells what is wrong
-    files = (path.parent / unquote(name) for name in names if not name.startswith("data:"))
-    return [file for file in files if file.is_file()]
+    return [file for file in dict.fromkeys(files) if file is not None]
 
 
-def _buffers(tree: dict[str, Any], binary: memoryview | None, folder: Path) -> list[memoryview]:
+def _beside(path: Path, uri: str) -> Path | None:
+    """Return the file that a buffer names, where it lies in the folder of `path`, or below.
+
+    A file may be a link, as keepers of data make them: what it leads to has a folder as well.
+    """
+    name = unquote(uri).replace("\\", "/")  # as programs on Windows write it
+    folders = [path.parent.resolve(), path.resolve().parent]
+    files = [(folder / name).resolve() for folder in folders]
+    inside = [file for file in files if any(map(file.is_relative_to, folders)) and file.is_file()]
+    return inside[0] if inside else None
+
+
+def _buffers(
+    tree: dict[str, Any], binary: memoryview | None, path: Path
+) -> tuple[list[memoryview], int]:
+    """Return the buffers, and how many bytes other files than `path` have."""
     found: list[memoryview] = []
+    files: dict[Path, memoryview] = {}
     for buffer in tree.get("buffers", []):
         uri, data = buffer.get("uri"), binary
         if uri is not None and uri.startswith("data:"):
             data = memoryview(base64.b64decode(uri.partition(";base64,")[2], validate=True))
         elif uri is not None:
-            if not (folder / unquote(uri)).is_file():
+            file = _beside(path, uri)
+            if file is None:
                 raise InvalidInputError(
                     f"not a whole glTF file: {uri[:100]!r}, which holds its arrays, is no file of"
-                    " its folder; copy it there"
+                    " its folder; copy it there, name it by its name alone, and unpack what is"
+                    " packed"
                 )
-            data = memoryview((folder / unquote(uri)).read_bytes())
+            if file not in files:  # many buffers may name one
+                files[file] = memoryview(file.read_bytes())
+            data = files[file]
         elif found:
             data = None  # only the first may be the one inside a glb
         length = _natural(buffer["byteLength"])
@@ -152,28 +197,44 @@ def _buffers(tree: dict[str, Any], binary: memoryview | None, folder: Path) -> l
                 f" {'none' if data is None else len(data)}; the file may be cut short"
             )
         found.append(data[:length])
-    return found
+    return found, sum(map(len, files.values()))
 
 
-def _parts(tree: dict[str, Any], buffers: list[memoryview]) -> Iterator[tuple[Floats, Ints | None]]:
+def _parts(
+    tree: dict[str, Any], arrays: _Accessors, passed: Counter[str]
+) -> Iterator[tuple[Floats, Ints | None]]:
     """Yield points and faces (None for a point set) of all that the scene shows, in its place."""
-    arrays = _Accessors(tree, buffers)
-    scene = _item(tree["scenes"], tree.get("scene", 0)) if "scenes" in tree else {}
-    waiting = [(root, np.eye(4)) for root in reversed(scene.get("nodes", []))]
-    seen = set()
+    meshes = tree.get("meshes", [])
+    nodes = tree.get("nodes", [])
+    if "scenes" in tree:
+        roots = _item(tree["scenes"], tree.get("scene", 0)).get("nodes", [])
+    else:  # a library of parts: all of them, or where no node moves them, as they are
+        nodes = nodes or [{"mesh": i} for i in range(len(meshes))]
+        children = {child for node in nodes for child in node.get("children", [])}
+        roots = [i for i in range(len(nodes)) if i not in children]
+    waiting = [(root, np.eye(4)) for root in reversed(roots)]
+    seen, shown = set(), set()
     while waiting:
         index, above = waiting.pop()
-        node = _known(_item(tree.get("nodes", []), index), NODE)
+        node = _known(_item(nodes, index), NODE)
         if index in seen:
             raise InvalidInputError(f"node {index} stands in the scene twice; it may be damaged")
         seen.add(index)
         place = above @ _placement(node)
         waiting += [(child, place) for child in reversed(node.get("children", []))]
-        mesh = _item(tree["meshes"], node["mesh"]) if "mesh" in node else {"primitives": []}
+        if "mesh" not in node:
+            continue
+        if "EXT_mesh_gpu_instancing" in node.get("extensions", {}):
+            raise _packed(f"node {index} uses EXT_mesh_gpu_instancing, which is not read")
+        passed["skin"] += "skin" in node
+        mesh = _item(meshes, node["mesh"])
+        shown.add(node["mesh"])
         for primitive in mesh["primitives"]:
             mode = _known(primitive, PRIMITIVE).get("mode", TRIANGLES)
             if mode in LINES:
+                passed["curve"] += 1
                 continue
+            passed["morph target"] += len(primitive.get("targets", []))
             points = arrays.positions(primitive["attributes"]["POSITION"])
             faces = None
             if mode != POINTS:
@@ -184,12 +245,13 @@ def _parts(tree: dict[str, Any], buffers: list[memoryview]) -> Iterator[tuple[Fl
                 if np.linalg.det(place[:3, :3]) < 0:  # a mirror turns a surface inside out
                     faces = faces[:, ::-1]
             yield points @ place[:3, :3].T + place[:3, 3], faces
+    passed["surface that no node shows"] = len(meshes) - len(shown)
 
 
 def _placement(node: dict[str, Any]) -> Floats:
     """Return the matrix that moves a node into its parent: a given one, or T R S."""
     matrix = np.reshape(np.array(node.get("matrix", np.eye(4)), dtype=np.float64), (4, 4)).T
-    if (matrix[3] != [0, 0, 0, 1]).any():
+    if not np.allclose(matrix[3], [0, 0, 0, 1], rtol=0, atol=1e-6):  # products of float32
         raise InvalidInputError("the last row of a matrix must be 0 0 0 1; it may be damaged")
     scale = np.reshape(np.array(node.get("scale", [1, 1, 1]), dtype=np.float64), 3)
     moved = np.eye(4)
@@ -215,16 +277,17 @@ def _triangles(corners: Ints, mode: int) -> Ints:
 
 
 class _Accessors:
-    """The arrays of a file, each within what the file says of it."""
+    """The arrays of a file, each within what the file says of it, all of them within its room."""
 
-    def __init__(self, tree: dict[str, Any], buffers: list[memoryview]) -> None:
+    def __init__(self, tree: dict[str, Any], buffers: list[memoryview], most: int) -> None:
         self.accessors, self.views = tree.get("accessors", []), tree.get("bufferViews", [])
         self.buffers = buffers
-        self.ends: dict[int, int] = {}  # where the last accessor of each view ends
+        self.most, self.made = most, 0  # bytes
+        self.ends: dict[int, int] = {}  # where the last rows of each view end
         for accessor in self.accessors:
-            if "bufferView" in _known(accessor, ACCESSOR):
-                index = accessor["bufferView"]
-                self.ends[index] = max(self.ends.get(index, 0), self._layout(accessor)[-1])
+            for rows in _layers(_known(accessor, ACCESSOR)):
+                index = rows["bufferView"]
+                self.ends[index] = max(self.ends.get(index, 0), self._layout(rows)[-1])
 
     def positions(self, index: int) -> Floats:
         """Return points (n, 3)."""
@@ -249,22 +312,40 @@ class _Accessors:
 
     def _array(self, index: int, kind: str, types: str) -> NDArray[np.generic]:
         accessor = _item(self.accessors, index)
-        if "sparse" in accessor or "bufferView" not in accessor:
+        if "bufferView" not in accessor and "sparse" not in accessor:
+            raise _packed(f"accessor {index} must be an array, got a compressed one")
+        self.made += 24 * _natural(accessor["count"])  # a point, or a triangle of three at most
+        if self.made > self.most:
             raise InvalidInputError(
-                f"accessor {index} must be a plain array, got a sparse or compressed one; export"
-                " the file without compression"
+                f"shows more than {self.most:,} bytes of points and triangles, which is {MULTIPLE}"
+                " times its size or 64 MiB",
+                advice="if that is right, hand over trimesh.load_scene(path).to_mesh()",
             )
+        if "sparse" not in accessor:
+            return self._rows(index, accessor, kind, types)
+        *base, where, values = _layers(accessor)
+        array = np.zeros((accessor["count"], COLUMNS[kind]), TYPES[accessor["componentType"]])
+        if base:
+            array[:] = self._rows(index, base[0], kind, types)
+        rows = check_indices("indices", self._rows(index, where, "SCALAR", "u")[:, 0], len(array))
+        array[rows] = self._rows(index, values, kind, types)
+        return array
+
+    def _rows(
+        self, index: int, accessor: dict[str, Any], kind: str, types: str
+    ) -> NDArray[np.generic]:
         dtype, columns, stride, end = self._layout(accessor)
         view = self.views[accessor["bufferView"]]
         data = _item(self.buffers, view["buffer"])
         first, length = _natural(view.get("byteOffset", 0)), _natural(view["byteLength"])
         # What no accessor of the view describes may be padding, but no row.
-        surplus = length - self.ends[accessor["bufferView"]]
+        last = self.ends[accessor["bufferView"]]
         if (
             accessor["type"] != kind
             or dtype.kind not in types
             or not (accessor["count"] and stride >= columns * dtype.itemsize)
-            or not (end <= length <= len(data) - first and surplus < max(4, stride))
+            or not end <= length <= len(data) - first
+            or (length - last >= max(4, stride) and any(data[first + last : first + length]))
         ):
             raise InvalidInputError(
                 f"accessor {index} must describe {kind} numbers that fill their view of {length}"
@@ -276,6 +357,18 @@ class _Accessors:
         return np.ndarray(shape, dtype, data, offset, strides)
 
 
+def _layers(accessor: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield what describes rows: the accessor; of a sparse one, where others stand, and those."""
+    if "bufferView" in accessor:
+        yield accessor
+    if "sparse" in accessor:
+        sparse = _known(accessor["sparse"], SPARSE)
+        count = {"count": sparse["count"]}
+        yield count | {"type": "SCALAR"} | _known(sparse["indices"], ACCESSOR)
+        kind = {key: accessor[key] for key in ("type", "componentType")}
+        yield count | kind | _known(sparse["values"], ACCESSOR)
+
+
 def _item(items: Any, index: Any) -> Any:
     """Return an entry; Python alone counts negative ones from the end."""
     if _natural(index) >= len(items):
@@ -284,12 +377,14 @@ def _item(items: Any, index: Any) -> Any:
 
 
 def _known(found: dict[str, Any], keys: set[str]) -> dict[str, Any]:
-    """Return an object of the JSON if it holds nothing but what the format knows."""
-    if unknown := sorted(found.keys() - keys):
-        raise InvalidInputError(
-            f"{unknown[0][:40]!r} is no property of glTF here, known are"
-            f" {', '.join(sorted(keys))}; the file may be damaged"
-        )
+    """Return an object of the JSON, if all its words are of the format, or unlike any of these."""
+    for word in found.keys() - keys:
+        if get_close_matches(word, keys, 1, 0.5):
+            raise InvalidInputError(
+                f"{word[:40]!r} is no property of glTF here, known are"
+                f" {', '.join(sorted(keys))}; the file may be damaged"
+            )
+        warn(f"passed over the unknown property {word[:40]!r}", IgnoredContentWarning)
     return found
 
 
