@@ -47,7 +47,9 @@ def as_array(name: str, values: ArrayLike) -> NDArray[np.generic]:
         raise InvalidInputError(name, f"have rows of one length ({error})") from error
 
 
-def real_array(name: str, values: ArrayLike) -> Floats:
+def real_array(
+    name: str, values: ArrayLike, *, advice: str = "", remedies: tuple[str, ...] = ()
+) -> Floats:
     """Return `values` as a finite C-ordered float64 array."""
     array = as_array(name, values)
     if array.dtype.kind not in "fiu":
@@ -60,7 +62,8 @@ def real_array(name: str, values: ArrayLike) -> Floats:
             name,
             "be finite",
             f"{quantity(bad.sum(), 'NaN or infinite value')}, the first at {first}",
-            advice="leave such rows out" if floats.ndim == 2 else "",
+            advice=advice or ("leave such rows out" if floats.ndim == 2 else ""),
+            remedies=remedies,
         )
     return floats
 
@@ -71,7 +74,8 @@ def check_points(name: str, values: ArrayLike) -> Floats:
     _check_three_columns(name, array, "n")
     if len(array) == 0:
         raise InvalidInputError(name, "hold at least one point", f"shape {array.shape}")
-    return real_array(name, array)
+    advice = "{} leaves such points out, and tells which"
+    return real_array(name, array, advice=advice, remedies=("without_nan()",))
 
 
 def _check_three_columns(name: str, array: NDArray[np.generic], rows: str) -> None:

@@ -13,7 +13,7 @@ from spectra_kit._validate import check_count, quantity
 from spectra_kit.cli.options import DEMO, FORMATS, OnOne, Operator, Reading
 from spectra_kit.cli.progress import say, step
 from spectra_kit.errors import InvalidFileError, InvalidInputError
-from spectra_kit.geometry import Geometry, TriangleMesh, creature, read, repair, sample
+from spectra_kit.geometry import Geometry, TriangleMesh, creature, read, repair, sample, without_nan
 from spectra_kit.operators import Laplacian, laplacian
 
 _REMOVED = {
@@ -21,6 +21,7 @@ _REMOVED = {
     "degenerate_faces": "degenerate face",
     "duplicate_faces": "duplicate face",
     "unreferenced_vertices": "unreferenced vertex",
+    "nan_points": "NaN point",
 }
 
 
@@ -30,19 +31,23 @@ def load(file: str, asked: Reading, *, pose: int = 0) -> tuple[Geometry, Ints | 
     Where it was repaired, the new number of each point of the file is returned too.
     """
     geometry: Geometry
-    numbers = None
+    numbers = found = None
     if file == DEMO:
         with step("making the demo"):
             geometry = creature(asked.points, seed=asked.seed, pose=pose)
     else:
         _check_there(Path(file))
         with step(f"reading {file}"):
-            geometry = read(file)
+            found = without_nan(file) if asked.repair else None
+            geometry = read(file) if found is None else found.geometry
     if asked.repair:
         with step("repairing"):
             repaired = repair(geometry)
         geometry, numbers = repaired.geometry, repaired.new_index
         counts = dataclasses.asdict(repaired.report)
+        if found is not None:
+            counts["nan_points"] = found.report.nan_points
+            numbers = np.where(found.new_index < 0, -1, numbers[found.new_index])
         done = ", ".join(quantity(n, _REMOVED[what]) for what, n in counts.items() if n)
         say(f"repaired: {done or 'nothing to do'}")
     if asked.cloud is not None:

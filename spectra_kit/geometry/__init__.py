@@ -33,6 +33,7 @@ from spectra_kit.geometry.components import Component, components, largest_compo
 from spectra_kit.geometry.creature import creature
 from spectra_kit.geometry.diagnose import Diagnosis, Problem, diagnose
 from spectra_kit.geometry.io import read, write
+from spectra_kit.geometry.nan_points import without_nan
 from spectra_kit.geometry.normalize import Normalization, normalize
 from spectra_kit.geometry.normals import estimate_normals, orient_normals
 from spectra_kit.geometry.poses import creature_pair, mirrored, permuted
@@ -73,5 +74,6 @@ __all__ = [
     "sample_with_origin",
     "sphere",
     "torus",
+    "without_nan",
     "write",
 ]

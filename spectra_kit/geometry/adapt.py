@@ -89,11 +89,11 @@ def adapted(thing: Any) -> Geometry:
                     f"passed over what follows the faces: {quantity(len(others), 'item')}",
                     IgnoredContentWarning,
                 )
-            return TriangleMesh(_spatial(points), faces)
+            return _of_table(_spatial(points), faces)
         if is_ragged and not others:
             return surface(_spatial(points), Polygons.of(faces))
     if all(_is_table(getattr(thing, name, None)) for name in ("vertices", "faces")):
-        return TriangleMesh(np.asarray(thing.vertices), np.asarray(thing.faces))
+        return _of_table(np.asarray(thing.vertices), np.asarray(thing.faces))
     if not isinstance(thing, bytes) and (
         isinstance(thing, Sequence) or hasattr(thing, "__array__")
     ):
@@ -103,7 +103,7 @@ def adapted(thing: Any) -> Geometry:
 
 def _of_trimesh(thing: Any) -> Geometry:
     if hasattr(thing, "faces"):
-        return TriangleMesh(np.asarray(thing.vertices), np.asarray(thing.faces))
+        return surface(np.asarray(thing.vertices), np.asarray(thing.faces))
     if hasattr(thing, "entities"):
         raise _refused(thing, _CURVES.format("vertices"))
     if hasattr(thing, "vertices"):
@@ -210,6 +210,11 @@ _TOOLKITS: dict[str, Callable[[Any], Geometry]] = {
     "pymeshlab": _of_pymeshlab,
     "torch_geometric": _of_torch_geometric,
 }
+
+
+def _of_table(points: Any, faces: Any) -> TriangleMesh:
+    """Return the mesh of arrays; rows of four may be quads or tetrahedra, which no array says."""
+    return surface(points, faces) if np.shape(faces)[1] == 3 else TriangleMesh(points, faces)
 
 
 def _spatial(points: Any) -> Any:

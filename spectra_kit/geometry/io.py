@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path
@@ -22,6 +22,8 @@ from spectra_kit.geometry.formats._room import PACKED, format_of, unpacked
 from spectra_kit.geometry.formats.foreign import advice_for
 from spectra_kit.geometry.polygons import surface
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+
+Made = TypeVar("Made")
 
 READERS: dict[str, Callable[[Path], Arrays]] = {
     ".glb": gltf.read,
@@ -110,7 +112,11 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     >>> bool((copy.points == mesh.points).all())
     True
     """
-    path = Path(path)
+    return content_of(Path(path), lambda points, faces: _geometry(points, faces, kind))
+
+
+def content_of(path: Path, make: Callable[[Any, Any], Made]) -> Made:
+    """Return what `make` makes of the points and faces of a file."""
     reader = _lookup(READERS, path, "read", advice_for(path))
     if path.is_dir():
         raise InvalidFileError(path, "this is a folder, expected a file")
@@ -121,11 +127,11 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     try:
         with hearing() as heard, unpacked(path) as plain:
             points, faces = reader(plain)
-            geometry = _geometry(points, faces, kind)
+            made = make(points, faces)
         if heard:
             told = "; ".join(dict.fromkeys(map(str, heard)))
             warn(told, IgnoredContentWarning, where=str(path))
-        return geometry  # noqa: TRY300
+        return made  # noqa: TRY300
     except InvalidInputError as error:
         raise InvalidFileError(path, error) from error
     except MemoryError as error:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import as_array, check_indices, quantity, warn
+from spectra_kit._validate import as_array, check_indices, check_points, quantity, warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry.shapes import TriangleMesh
 
@@ -51,8 +51,8 @@ def surface(points: Any, faces: Any) -> TriangleMesh:
     ----------
     points : array_like of shape (n, 3)
         In length.
-    faces : Polygons or array_like of shape (p, s)
-        The corners of each.
+    faces : Polygons or array_like of shape (f, 3)
+        The corners of each. (A table of four columns may be one of tetrahedra.)
 
     Returns
     -------
@@ -65,13 +65,13 @@ def surface(points: Any, faces: Any) -> TriangleMesh:
 
     Examples
     --------
-    >>> from spectra_kit.geometry.polygons import surface
-    >>> surface([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2, 3]])
+    >>> from spectra_kit.geometry.polygons import Polygons, surface
+    >>> surface([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], Polygons.of([[0, 1, 2, 3]]))
     TriangleMesh(4 vertices, 2 faces)
     """
     if not isinstance(faces, Polygons):
         table: NDArray[Any] = as_array("faces", faces)
-        if table.ndim != 2 or table.shape[1] < 3 or table.dtype.kind not in "iu":
+        if table.ndim != 2 or table.shape[1] != 3 or table.dtype.kind not in "iu":
             return TriangleMesh(points, table)
         faces = Polygons.of(table)
     corners, sizes = faces
@@ -82,9 +82,10 @@ def surface(points: Any, faces: Any) -> TriangleMesh:
         warn(f"passed over {told}, {first}", IgnoredContentWarning)
         corners, sizes = corners[np.repeat(proper, sizes)], sizes[proper]
     points, corners = _without_unused_nan(as_array("points", points), corners)
-    if (sizes != 3).any():
-        return TriangleMesh(points, triangulate(points, Polygons(corners, sizes)))
-    return TriangleMesh(points, corners.reshape(-1, 3))
+    if (sizes == 3).all():
+        return TriangleMesh(points, corners.reshape(-1, 3))
+    points = check_points("points", points)
+    return TriangleMesh(points, triangulate(points, Polygons(corners, sizes)))
 
 
 def _without_unused_nan(points: NDArray[Any], corners: Ints) -> tuple[NDArray[Any], Ints]:

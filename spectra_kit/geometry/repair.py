@@ -29,12 +29,15 @@ class RepairReport:
         Faces that repeated the vertices of an earlier one.
     unreferenced_vertices : int
         Vertices that no remaining face used.
+    nan_points : int
+        Points that were NaN or infinite, of `without_nan`.
     """
 
     merged_points: int = 0
     degenerate_faces: int = 0
     duplicate_faces: int = 0
     unreferenced_vertices: int = 0
+    nan_points: int = 0
 
 
 @checked

@@ -26,7 +26,7 @@ TRANSPOSED = "did you pass its transpose?"
             [[0, 0, 1], [-np.inf, 0, np.inf]],
             "be finite",
             "2 NaN or infinite values, the first at (1, 0)",
-            "leave such rows out",
+            "{} leaves such points out, and tells which",
         ),
         (np.empty((0, 3)), "hold at least one point", "shape (0, 3)", ""),
         ([], "have shape (n, 3)", "(0,)", ""),
