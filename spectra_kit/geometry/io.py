@@ -60,7 +60,8 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     Parameters
     ----------
     path : path-like
-        A file of one of the formats below; the extension says which, in any case.
+        A file of one of the formats below; the extension says which, in any case. Packed ones
+        (gz, bz2, xz) are unpacked: of ``a.ply.gz``, what it packs is read as ply.
     kind : {"mesh", "cloud"}, optional
         What the caller needs: "mesh" refuses a file without faces, "cloud" drops the faces. By
         default a file with faces gives a mesh and a file without them a cloud.
@@ -74,7 +75,8 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     ------
     InvalidFileError
         If the file does not exist, is empty, cut short or of an unknown format, if it is not of
-        the wanted `kind`, or if its content is no valid geometry (NaN, index out of range).
+        the wanted `kind`, or if its content is no valid geometry (NaN, index out of range). Of
+        formats that others read, it says who, and how to hand over what they return.
     OutOfMemoryError
         If the content does not fit into memory.
 
@@ -86,8 +88,10 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     ply           ASCII or binary; without faces where it announces none
     stl           exactly coincident corners are one vertex: the format repeats them
     glb, gltf     all meshes of the scene, moved to their places and stacked; a file may
-                  repeat vertices along texture seams, see `with_merged_vertices`
-    npz           arrays points (or V, vertices, verts) and, for a mesh, faces (or F)
+                  repeat vertices along texture seams, see `with_merged_vertices`; its
+                  buffers lie in its folder or below
+    npz           arrays points (or V, vertices, verts) and, for a mesh, faces (or F); where
+                  none is called so, vert, v, xyz and triangles, tris, tri, TRIV, f
     npy           points of shape (n, 3)
     xyz           the first three columns (spaces or commas); others, such as normals,
                   are ignored
@@ -99,6 +103,11 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     cut inside its very last number, an OBJ or XYZ file cut between two lines. glTF is read
     without its skins and morph targets, and refused where it requires an extension, such as
     compression, that is not known here.
+
+    What a packed file unpacks to, the packed arrays of npz, and what a glTF shows, however often it
+    shows one mesh, may take 100 times the bytes of the file and of its buffers, or 64 MiB where
+    that is more; beyond, the file is refused before it is unpacked, with what to do if it is right.
+    Arrays (glTF, npz, npy) take at most four times that while they are read, text takes more.
 
     Examples
     --------

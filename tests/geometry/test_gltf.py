@@ -99,7 +99,15 @@ def compress_quietly(tree):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (compress, "requires KHR_draco_mesh_compression, which is not read"),
+        (compress, r"requires KHR_draco_mesh_compression, .* trimesh\.load_scene\(path\)"),
+        (
+            set_in("extensionsRequired", value=["EXT_meshopt_compression"]),
+            "requires EXT_meshopt_compression, .*; gltfpack -noq -i FILE -o plain.glb unpacks it",
+        ),
+        (
+            set_in("extensionsRequired", value=["EXT_of_somebody"]),
+            "requires EXT_of_somebody, which is not read; export it without",
+        ),
         (compress_quietly, "must be an array, got a compressed one"),
         (set_in("extensionsRequired", value=[3]), "not a whole glTF file"),
         (set_in("asset", "version", value="1.0"), "the version must be 2, got '1.0'"),

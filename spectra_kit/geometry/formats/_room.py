@@ -20,7 +20,7 @@ from spectra_kit.errors import InvalidInputError
 
 # An even grid, the most regular of surfaces, packs 8 to 1 in gzip, 16 to 1 in bzip2, 75 to 1 in xz.
 MULTIPLE = 100
-ALWAYS = 1 << 26  # so much takes nobody's memory, and small files show a wheel four times
+ALWAYS = 1 << 26  # so much is there on any machine, and what small files repeat is small
 PACKED: dict[str, tuple[bytes, Any]] = {
     ".gz": (b"\x1f\x8b", gzip.open),
     ".bz2": (b"BZh", bz2.open),

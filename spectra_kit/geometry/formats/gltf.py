@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import json
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,15 @@ HARMLESS = (
     "KHR_animation_",
     "KHR_mesh_quantization",
 )
+
+UNPACKED_BY = {
+    "KHR_draco_mesh_compression": (
+        "trimesh unpacks it where DracoPy is installed: hand over"
+        " trimesh.load_scene(path).to_mesh()"
+    ),
+    "EXT_meshopt_compression": "gltfpack -noq -i FILE -o plain.glb unpacks it",
+    "KHR_meshopt_compression": "gltfpack -noq -i FILE -o plain.glb unpacks it",
+}
 
 # What may stand in an object: a word like one of these is that, damaged, which perhaps has a
 # default; other words are somebody's own.
@@ -131,11 +140,13 @@ def _check_readable(tree: dict[str, Any]) -> None:
         raise InvalidInputError(f"the version must be 2, got {version[:20]!r}")
     required = tree.get("extensionsRequired", [])
     if unknown := [name for name in required if not name.startswith(HARMLESS)]:
-        raise _packed(f"requires {', '.join(unknown)}, which is not read")
+        raise _beyond(f"requires {', '.join(unknown)}, which is not read", unknown)
 
 
-def _packed(problem: str) -> InvalidInputError:
-    return InvalidInputError(problem, advice="export it without, uncompressed")
+def _beyond(problem: str, extensions: Iterable[str]) -> InvalidInputError:
+    """Return what is to be raised of an extension that is not read, with who reads it."""
+    known = [words for name, words in UNPACKED_BY.items() if name in extensions]
+    return InvalidInputError(problem, advice="; ".join(known) or "export it without, uncompressed")
 
 
 def _words(data: bytes, start: int) -> tuple[int, int]:
@@ -232,7 +243,7 @@ def _parts(
         if "mesh" not in node:
             continue
         if "EXT_mesh_gpu_instancing" in node.get("extensions", {}):
-            raise _packed(f"node {index} uses EXT_mesh_gpu_instancing, which is not read")
+            raise _beyond(f"node {index} uses EXT_mesh_gpu_instancing, which is not read", ())
         passed["skin"] += "skin" in node
         mesh = _item(meshes, node["mesh"])
         shown.add(node["mesh"])
@@ -325,7 +336,8 @@ class _Accessors:
     def _array(self, index: int, kind: str, types: str) -> NDArray[np.generic]:
         accessor = _item(self.accessors, index)
         if "bufferView" not in accessor and "sparse" not in accessor:
-            raise _packed(f"accessor {index} must be an array, got a compressed one")
+            problem = f"accessor {index} must be an array, got a compressed one"
+            raise _beyond(problem, UNPACKED_BY)
         self.made += 24 * _natural(accessor["count"])  # a point, or a triangle of three at most
         if self.made > self.most:
             raise InvalidInputError(
