@@ -121,7 +121,7 @@ def _parsed(body: _Lines, header: _Header) -> Arrays:
             f"after its corners a face must have no number, 3 or 4 for a colour, or 1 in all, got"
             f" {' or '.join(map(str, sorted(colours)))}; the file may be damaged"
         )
-    passed_over([number for number, _ in body[n:]], "line behind the faces")
+    passed_over([number for number, _ in body[n:]], "behind the faces")
     return points, Polygons.of(polygons) if polygons else None
 
 
