@@ -1,4 +1,4 @@
-"""Polygons are cut into triangles that cover them once, with all their corners and their winding."""
+"""Polygons are cut into triangles that cover them once, with all corners and their winding."""
 
 import numpy as np
 import pytest
