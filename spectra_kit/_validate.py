@@ -74,8 +74,12 @@ def check_points(name: str, values: ArrayLike) -> Floats:
     _check_three_columns(name, array, "n")
     if len(array) == 0:
         raise InvalidInputError(name, "hold at least one point", f"shape {array.shape}")
-    advice = "{} leaves such points out, and tells which"
-    return real_array(name, array, advice=advice, remedies=("without_nan()",))
+    return real_array(
+        name,
+        array,
+        advice="{} leaves such points out, and tells which",
+        remedies=("without_nan()",),
+    )
 
 
 def _check_three_columns(name: str, array: NDArray[np.generic], rows: str) -> None:

@@ -71,6 +71,12 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     TriangleMesh or PointCloud
         In the unit of the file.
 
+    Warns
+    -----
+    IgnoredContentWarning
+        If the file holds more than was taken, or otherwise than its format has it: one warning that
+        says what was passed over, and where. Texture, normals and colours are not told of.
+
     Raises
     ------
     InvalidFileError
@@ -83,24 +89,30 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     Notes
     -----
     ============  ====================================================================
-    obj           every vertex once, whichever texture, group or material uses it
-    off           ASCII; without faces where it announces none
-    ply           ASCII or binary; without faces where it announces none
-    stl           exactly coincident corners are one vertex: the format repeats them
+    obj           every vertex once, whichever texture, group or material uses it; a cloud
+                  where there are neither faces nor texture
+    off           ASCII or binary; without faces where it announces none
+    ply           ASCII or binary; faces and triangle strips; without where it announces none
+    stl           ASCII or binary; exactly coincident corners are one vertex, which the
+                  format repeats
     glb, gltf     all meshes of the scene, moved to their places and stacked; a file may
                   repeat vertices along texture seams, see `with_merged_vertices`; its
                   buffers lie in its folder or below
     npz           arrays points (or V, vertices, verts) and, for a mesh, faces (or F); where
                   none is called so, vert, v, xyz and triangles, tris, tri, TRIV, f
     npy           points of shape (n, 3)
-    xyz           the first three columns (spaces or commas); others, such as normals,
-                  are ignored
+    xyz           the first three columns, or those that a first line calls x, y, z, parted
+                  by blanks, commas or semicolons; others, such as normals, are ignored
     ============  ====================================================================
 
-    Polygons of four and more corners become triangles around their first corner. Whatever a
-    file says twice is compared: counts with lengths, the checksums of npz, the columns of each
-    line. What no format says twice cannot be: a digit of a coordinate outside npz, a text file
-    cut inside its very last number, an OBJ or XYZ file cut between two lines. glTF is read
+    Polygons become triangles around their first corner where that is right, and are cut by their
+    ears where they are concave; holes are part of an outline that passes a bridge twice. One that
+    crosses itself is refused. Vertices that are NaN and that no face uses are left out;
+    `without_nan` leaves out all that are, and tells which.
+
+    Whatever a file says twice is compared: counts with lengths, the checksums of npz, the columns
+    of each line. What no format says twice cannot be: a digit of a coordinate outside npz, a text
+    file cut inside its very last number, an OBJ or XYZ file cut between two lines. glTF is read
     without its skins and morph targets, and refused where it requires an extension, such as
     compression, that is not known here.
 

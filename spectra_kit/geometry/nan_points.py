@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import as_array, check_indices, frozen
+from spectra_kit._validate import as_array, check_faces, check_indices, check_points, frozen
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.io import content_of
 from spectra_kit.geometry.polygons import Polygons, surface
@@ -24,8 +25,8 @@ def without_nan(points: Any, faces: Any = None) -> Repaired:
     ----------
     points : path-like or array_like of shape (n, 3)
         A file, as `read` takes it, or coordinates, in length.
-    faces : array_like of shape (f, s), optional
-        The corners of each face. Those that use a point that is NaN or infinite go with it.
+    faces : array_like of shape (f, 3), optional
+        Vertex indices of triangles. Those of a point that is NaN or infinite go with it.
 
     Returns
     -------
@@ -57,10 +58,10 @@ def without_nan(points: Any, faces: Any = None) -> Repaired:
 def _cleaned(points: Any, faces: Any) -> Repaired:
     if isinstance(faces, InvalidInputError):
         raise faces
-    table = as_array("points", points)
-    is_there = np.ones(len(table), dtype=bool)
-    if table.ndim == 2 and table.dtype.kind == "f":
-        is_there = np.isfinite(table).all(axis=1)
+    table: NDArray[Any] = as_array("points", points)
+    if table.ndim != 2 or table.shape[1] != 3 or table.dtype.kind not in "fiu":
+        check_points("points", table)
+    is_there = np.isfinite(table).all(axis=1)
     new_index = np.where(is_there, np.cumsum(is_there) - 1, -1)
     report = RepairReport(nan_points=int((~is_there).sum()))
     geometry = _remaining(table[is_there], faces, new_index)
@@ -70,8 +71,11 @@ def _cleaned(points: Any, faces: Any) -> Repaired:
 def _remaining(points: Floats, faces: Any, new_index: Ints) -> Geometry:
     if faces is None:
         return PointCloud(points)
-    corners, sizes = faces if isinstance(faces, Polygons) else Polygons.of(np.asarray(faces))
-    corners = new_index[check_indices("faces", corners, len(new_index))]
+    n = len(new_index)
+    corners, sizes = (
+        faces if isinstance(faces, Polygons) else Polygons.of(check_faces("faces", faces, n))
+    )
+    corners = new_index[check_indices("faces", corners, n)]
     row = np.repeat(np.arange(len(sizes)), sizes)
     whole = np.bincount(row, corners < 0, minlength=len(sizes)) == 0
     if not whole.any():

@@ -194,7 +194,9 @@ def _fans(outlines: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     facing = np.einsum("mtj,mj->mt", crosses, normals)
     flat = sides - np.einsum("msj,mj->ms", sides, normals)[..., None] * normals[:, None]
     angles = np.arctan2(facing, np.einsum("mtj,mtj->mt", flat[:, :-1], flat[:, 1:]))
-    right = (facing > _ROUNDING).all(axis=1) & (angles.sum(axis=1) < 2 * np.pi)
+    before, after = sides[:, :-1], sides[:, 1:]  # a corner twice makes no triangle, however cut
+    twice = (before == after).all(axis=2) | (before == 0).all(axis=2) | (after == 0).all(axis=2)
+    right = ((facing > _ROUNDING) | twice).all(axis=1) & (angles.sum(axis=1) < 2 * np.pi)
     without_area = np.linalg.norm(crosses, axis=2).max(axis=1) <= _ROUNDING
     return areas, right | without_area  # on a line, where nothing depends on how it is cut
 

@@ -69,10 +69,12 @@ def without_comments(text: bytes) -> bytes:
     return re.sub(rb"#[^\n]*", b"", text) if b"#" in text else text
 
 
-def passed_over(lines: Iterable[int], noun: str) -> None:
+def passed_over(lines: Iterable[int], which: str) -> None:
     """Warn of the lines of these numbers, if there are any."""
     if numbers := list(lines):
-        told = f"passed over {quantity(len(numbers), noun)}, the first in line {numbers[0]}"
+        told = (
+            f"passed over {quantity(len(numbers), 'line')} {which}, the first is line {numbers[0]}"
+        )
         warn(told, IgnoredContentWarning)
 
 

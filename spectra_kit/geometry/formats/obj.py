@@ -97,16 +97,16 @@ def line_by_line(text: bytes) -> Arrays:
             elif word == "f":
                 polygons.append(_corners(words[1:], len(rows)))
             elif word in SHAPES:
-                passed.setdefault(f"{word!r} line", []).append(number)
+                passed.setdefault(f"that begin with {word!r}", []).append(number)
             elif not _is_quiet(word):
                 _check_unknown(words)
-                passed.setdefault("line of an unknown word", []).append(number)
+                passed.setdefault("of unknown words", []).append(number)
             textured |= word in ("vt", "usemtl")
         except ValueError as error:
             raise broken_line(number, words, error) from error
     points = _positions(rows, first)
-    for noun, found in passed.items():
-        passed_over(found, noun)
+    for which, found in passed.items():
+        passed_over(found, which)
     if polygons:
         return points, Polygons.of(polygons)
     if textured:

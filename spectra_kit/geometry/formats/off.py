@@ -73,7 +73,7 @@ def at_once(text: bytes, header: _Header) -> Arrays | None:
     first = np.cumsum(widths) - widths
     sizes = values[first]
     behind = {*np.unique(widths - 1 - sizes).tolist()}
-    if sizes.min() < 0 or not (behind <= {0, 3, 4} or behind == {1}):
+    if sizes.min() < 3 or not (behind <= {0, 3, 4} or behind == {1}):
         return None
     place = np.arange(total) - np.repeat(first, widths)
     corners = values[(place > 0) & (place <= np.repeat(sizes, widths))]
@@ -102,6 +102,7 @@ def _parsed(body: _Lines, header: _Header) -> Arrays:
     points: list[list[float]] = []
     polygons: list[list[int]] = []
     colours: Counter[int] = Counter()
+    edges: set[int] = set()
     width = max(len(body[0][1]), 3) if body else 3
     for i, (number, words) in enumerate(body[:n]):
         try:
@@ -112,16 +113,21 @@ def _parsed(body: _Lines, header: _Header) -> Arrays:
             else:
                 corners, colour = _corners(words)
                 polygons.append(corners)
-                colours[colour] += 1
+                if len(corners) < 3:
+                    edges.add(colour)
+                else:
+                    colours[colour] += 1
         except ValueError as error:
             raise broken_line(number, words, error) from error
-    # One number behind one face alone is the end of an index that was torn in two.
-    if not colours.keys() <= {0, 1, 3, 4} or colours[1] == 1 < len(polygons):
+    # One number behind one face alone is the end of an index that was torn in two; what stands
+    # behind an edge as behind no face may be its corners.
+    behind = colours.keys() | edges
+    if not behind <= {0, 1, 3, 4} or colours[1] == 1 < len(polygons) or not edges <= {0, *colours}:
         raise InvalidInputError(
             f"after its corners a face must have no number, 3 or 4 for a colour, or 1 in all, got"
-            f" {' or '.join(map(str, sorted(colours)))}; the file may be damaged"
+            f" {' or '.join(map(str, sorted(behind)))}; the file may be damaged"
         )
-    passed_over([number for number, _ in body[n:]], "line behind the faces")
+    passed_over([number for number, _ in body[n:]], "behind the faces")
     return points, Polygons.of(polygons) if polygons else None
 
 
@@ -178,7 +184,7 @@ def _header(lines: list[list[str]]) -> _Header:
     """Return what the first lines announce: a keyword, which may be absent, and three counts."""
     first = lines[0] if lines else [""]
     # Some files glue the counts to the keyword, as in "OFF490 518 0".
-    keyword = re.fullmatch(r"(?:ST)?C?N?(4?)(n?)OFF(\d*)|(off)(\d*)", first[0])
+    keyword = re.fullmatch(r"(?:ST)?C?N?(4?)(n?)OFF(\d*)|([Oo]ff)(\d*)", first[0])
     if keyword is None and not all(map(str.isdecimal, first)):
         raise InvalidInputError(f"must start with the keyword OFF, got {first[0][:20]!r}")
     glued = (keyword[3] or keyword[5]) if keyword else ""

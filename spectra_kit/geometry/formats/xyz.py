@@ -54,7 +54,8 @@ def line_by_line(rows: Rows) -> list[list[float]]:
         except ValueError as error:
             raise InvalidInputError(
                 f"line {number} is broken: {line[:60]!r} ({error}); expected {width} numbers, the"
-                " first three being x, y, z, parted by spaces or by commas, with decimal points"
+                " first three being x, y, z, parted by spaces or by commas, with decimal points",
+                advice="call columns of a heading x, y, z, or remove it" if not points else "",
             ) from error
     return points
 
