@@ -426,7 +426,7 @@ def test_npz_by_any_name(tmp_path, arrays, save):
 @pytest.mark.parametrize(
     ("arrays", "problem", "way_on"),
     [
-        ({"VERT": V, "TRIV": F + 1}, "subtract 1", lambda d: (d["VERT"], d["TRIV"] - 1)),
+        ({"VERT": V, "TRIV": F + 1}, r"d\[...\] - 1\)", lambda d: (d["VERT"], d["TRIV"] - 1)),
         ({"V": V, "F": F + 1}, "indices count from 0", lambda d: (d["V"], d["F"] - 1)),
         ({"a": V, "b": F}, r"\(d\[...\], d\[...\]\)", lambda d: (d["a"], d["b"])),
         ({"V": V, "points": V, "F": F}, r"d\[...\]\)", lambda d: (d["V"], d["F"])),
