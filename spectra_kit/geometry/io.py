@@ -118,7 +118,7 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
 
     What a packed file unpacks to, the packed arrays of npz, and what a glTF shows, however often it
     shows one mesh, may take 100 times the bytes of the file and of its buffers, or 64 MiB where
-    that is more; beyond, the file is refused before it is unpacked, with what to do if it is right.
+    that is more; what would take more is refused, with what to do if it is right.
     Arrays (glTF, npz, npy) take at most four times that while they are read, text takes more.
 
     Examples

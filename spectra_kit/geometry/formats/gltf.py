@@ -1,7 +1,8 @@
 """glTF 2.0 as one file (glb) or as JSON (gltf); written through trimesh.
 
-Read here, not through trimesh, as that takes what is damaged for whole, what is compressed for
-empty, buffers from any folder, and as much memory as a file announces.
+Read here, not through trimesh (5.2): that gives other vertices where they are sparse or normalised
+integers, leaves out fans and what no scene shows, takes a damaged count or a misspelt word for
+fewer triangles, and makes whatever is announced.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import base64
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -41,15 +42,6 @@ HARMLESS = (
     "KHR_animation_",
     "KHR_mesh_quantization",
 )
-
-UNPACKED_BY = {
-    "KHR_draco_mesh_compression": (
-        "trimesh unpacks it where DracoPy is installed: hand over"
-        " trimesh.load_scene(path).to_mesh()"
-    ),
-    "EXT_meshopt_compression": "gltfpack -noq -i FILE -o plain.glb unpacks it",
-    "KHR_meshopt_compression": "gltfpack -noq -i FILE -o plain.glb unpacks it",
-}
 
 # What may stand in an object: a word like one of these is that, damaged, which perhaps has a
 # default; other words are somebody's own.
@@ -140,13 +132,19 @@ def _check_readable(tree: dict[str, Any]) -> None:
         raise InvalidInputError(f"the version must be 2, got {version[:20]!r}")
     required = tree.get("extensionsRequired", [])
     if unknown := [name for name in required if not name.startswith(HARMLESS)]:
-        raise _beyond(f"requires {', '.join(unknown)}, which is not read", unknown)
+        packed = any("compression" in name for name in unknown)
+        raise _beyond(f"requires {', '.join(unknown)}, which is not read", packed=packed)
 
 
-def _beyond(problem: str, extensions: Iterable[str]) -> InvalidInputError:
+def _beyond(problem: str, *, packed: bool) -> InvalidInputError:
     """Return what is to be raised of an extension that is not read, with who reads it."""
-    known = [words for name, words in UNPACKED_BY.items() if name in extensions]
-    return InvalidInputError(problem, advice="; ".join(known) or "export it without, uncompressed")
+    return InvalidInputError(
+        problem,
+        advice="npx @gltf-transform/cli copy FILE plain.glb unpacks it; of Draco, where DracoPy is"
+        " installed, so does trimesh: hand over trimesh.load_scene(path).to_mesh()"
+        if packed
+        else "export it without",
+    )
 
 
 def _words(data: bytes, start: int) -> tuple[int, int]:
@@ -243,7 +241,8 @@ def _parts(
         if "mesh" not in node:
             continue
         if "EXT_mesh_gpu_instancing" in node.get("extensions", {}):
-            raise _beyond(f"node {index} uses EXT_mesh_gpu_instancing, which is not read", ())
+            problem = f"node {index} uses EXT_mesh_gpu_instancing, which is not read"
+            raise _beyond(problem, packed=False)
         passed["skin"] += "skin" in node
         mesh = _item(meshes, node["mesh"])
         shown.add(node["mesh"])
@@ -337,13 +336,18 @@ class _Accessors:
         accessor = _item(self.accessors, index)
         if "bufferView" not in accessor and "sparse" not in accessor:
             problem = f"accessor {index} must be an array, got a compressed one"
-            raise _beyond(problem, UNPACKED_BY)
+            raise _beyond(problem, packed=True)
         self.made += 24 * _natural(accessor["count"])  # a point, or a triangle of three at most
         if self.made > self.most:
             raise InvalidInputError(
                 f"shows more than {self.most:,} bytes of points and triangles, which is {MULTIPLE}"
                 " times its size or 64 MiB",
-                advice="if that is right, hand over trimesh.load_scene(path).to_mesh()",
+                advice="if that is right, "
+                + (
+                    "export its parts, each once, to files of their own"
+                    if any({"sparse", "normalized"} & a.keys() for a in self.accessors)
+                    else "hand over trimesh.load_scene(path).to_mesh()"
+                ),
             )
         if "sparse" not in accessor:
             return self._rows(index, accessor, kind, types)

@@ -109,7 +109,8 @@ def read_npz(path: Path) -> Arrays:
     if faces and names[faces[0]].lower() == "triv" and arrays[1].size and arrays[1].min() > 0:
         raise InvalidInputError(  # as MATLAB writes it
             f"{names[faces[0]]} must count from 0, where no face uses vertex 0",
-            advice="subtract 1 if it counts from 1, else call it faces",
+            advice="if it counts from 1, hand over d = numpy.load(path), (d[...], d[...] - 1); if"
+            " not, call it faces",
         )
     if not faces or arrays[1].ndim != 2 or arrays[1].shape[1] <= 3:
         return arrays[0], arrays[1] if faces else None
