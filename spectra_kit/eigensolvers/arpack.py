@@ -35,7 +35,8 @@ class Arpack:
 
     From 40 modes on, blocks of vectors are iterated on, around as many shifts as that takes, whose
     factors count the modes between them. Where k is more than a third of n, LAPACK solves the dense
-    problem instead: Lanczos has no room there, and the answer is the same.
+    problem instead, and where one vector stalls within a cluster of a small one: Lanczos has no room
+    there, and the answer is the same.
 
     Parameters
     ----------
@@ -169,12 +170,10 @@ class Arpack:
                 advice=("raise {}", "loosen {}", "use {}"),
                 remedies=("max_restarts", "tol", "Refined"),
             ) from error
-        except ArpackError as error:  # such as no shift that it could apply, within a wide cluster
-            raise NotConvergedError(
-                f"{error}; more equal eigenvalues than Lanczos has room for do this",
-                advice="ask for more modes, or use {}",
-                remedies=("Refined",),
-            ) from error
+        except ArpackError:  # no shift that it could apply, within a wide cluster
+            if laplacian.n >= 2 * MOST:
+                return self._sliced(laplacian, k, sigma)
+            return Dense().eigenpairs(laplacian, k)
         clock.stage("lanczos")
         return Eigenpairs(unit / values + sigma, vectors / root[:, None], clock.seconds)
 

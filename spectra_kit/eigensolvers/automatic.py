@@ -19,6 +19,7 @@ from spectra_kit.eigensolvers.base import (
     set_device,
 )
 from spectra_kit.eigensolvers.cascade import Cascade
+from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.refined import Refined
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.operators.laplacian import Laplacian
@@ -157,7 +158,13 @@ class Automatic:
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
         solver, reason = self.choose(laplacian.n, k)
-        found = Eigenpairs(*solver.eigenpairs(laplacian, k))
+        try:
+            found = Eigenpairs(*solver.eigenpairs(laplacian, k))
+        except NotConvergedError as error:
+            if not isinstance(solver, Arpack) or laplacian.n > Dense.few:
+                raise
+            reason = f"{laplacian.n} points are few, and Lanczos gave up ({error})"
+            return Dense().eigenpairs(laplacian, k)._replace(solver=Dense(), reason=reason)
         if found.solver is None or found.solver is solver:
             found = found._replace(solver=solver, reason=reason)
         if not isinstance(found.solver, Cascade) or self._is_met(found.errors):
