@@ -34,9 +34,9 @@ class Arpack:
     """Shift-invert Lanczos, exact to rounding: ARPACK for a few modes, spectrum slicing for many.
 
     From 40 modes on, blocks of vectors are iterated on, around as many shifts as that takes, whose
-    factors count the modes between them. Where k is more than a third of n, LAPACK solves the dense
-    problem instead, and where one vector stalls within a cluster of a small one: Lanczos has no room
-    there, and the answer is the same.
+    factors count the modes between them. Where k is more than a third of n, or a cluster stalls one
+    vector on few points, LAPACK solves the dense problem instead: Lanczos has no room there, and
+    the answer is the same.
 
     Parameters
     ----------

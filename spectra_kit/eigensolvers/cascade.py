@@ -11,6 +11,7 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.eigensolvers.arpack import Arpack
+from spectra_kit.eigensolvers.audit import counted_errors
 from spectra_kit.eigensolvers.base import Eigenpairs, Promise, set_device
 from spectra_kit.eigensolvers.starts import basis_with_kernel, block_size
 from spectra_kit.levels import Coarse, coarse_pairs
@@ -155,8 +156,13 @@ class Cascade(OnPoints):
         if order is not None:
             there, vectors = vectors, np.empty_like(vectors)
             vectors[order] = there
-        errors = found.errors if found.steps else None  # carried modes alone tell nothing
-        pairs = Eigenpairs(found.eigenvalues[:k], vectors, clock.seconds, found.steps, errors)
+        values = found.eigenvalues[:k]
+        errors = None  # carried modes alone tell nothing
+        if found.steps:
+            least = np.maximum(values, laplacian.eigenvalue_spacing)
+            errors = counted_errors(laplacian, values, found.errors * least) / least
+            clock.stage("count")
+        pairs = Eigenpairs(values, vectors, clock.seconds, found.steps, errors)
         return pairs if self.subspace is not None else pairs._replace(solver=self)
 
 

@@ -325,7 +325,8 @@ class _Run:
         if lacking is not None and not len(cut):
             raise InvalidInputError(
                 f"the basis of {solver!r} must span at least k = {k} dimensions on all"
-                f" {quantity(len(parts), 'component')} together, got {sum(map(len, values.values()))}",
+                f" {quantity(len(parts), 'component')} together, got"
+                f" {sum(map(len, values.values()))}",
                 advice="ask for fewer modes or use a larger basis",
             ) from lacking
         merged = self.found[0] if whole else self.merged(k)

@@ -320,7 +320,7 @@ def _typical(diagonal: Floats, beside: Floats, labels: Ints) -> Floats:
     Without the potential where that is most of it; beside fixed points it is not.
     """
     all_of_it, rest = (_medians(values, labels) for values in (diagonal, beside))
-    held = np.where((0 < rest) & (rest < all_of_it / 2), rest, all_of_it)
+    held = np.where((rest > 0) & (rest < all_of_it / 2), rest, all_of_it)
     return np.where(held > 0, 4 * held, 4 * np.pi)
 
 
