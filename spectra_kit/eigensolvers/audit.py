@@ -87,4 +87,4 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
         return errors
     below = np.array(numbers)[:, None] <= np.arange(k)  # none of these is lower than that floor
     lowest = np.where(below, np.array(floors)[:, None], 0.0).max(axis=0)
-    return np.maximum(errors, values - lowest)
+    return np.asarray(np.maximum(errors, values - lowest))

@@ -159,8 +159,8 @@ class Cascade(OnPoints):
         values = found.eigenvalues[:k]
         errors = None  # carried modes alone tell nothing
         if found.steps:
-            least = np.maximum(values, laplacian.eigenvalue_spacing)
-            errors = counted_errors(laplacian, values, found.errors * least) / least
+            unit = np.maximum(values, laplacian.eigenvalue_spacing)
+            errors = counted_errors(laplacian, values, found.errors * unit) / unit
             clock.stage("count")
         pairs = Eigenpairs(values, vectors, clock.seconds, found.steps, errors)
         return pairs if self.subspace is not None else pairs._replace(solver=self)

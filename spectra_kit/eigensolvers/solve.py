@@ -288,7 +288,9 @@ class _Run:
         areas = np.array([laplacian.mass[part].sum() for part in parts])
         # Columns of all parts may have few on one, and need the others.
         given = getattr(solver, "subspace", None) or getattr(solver, "start", None)
-        most = [k] if whole else _modes_wanted(laplacian, parts, k, all_parts=given is not None)
+        most = [k]
+        if not whole:
+            most = _modes_wanted(laplacian, parts, k, all_parts=given is not None).tolist()
         # Weyl: a component's share of the low modes is about its share of the area.
         wanted = [
             min(room, math.ceil(1.1 * k * share) + 6)
@@ -507,7 +509,7 @@ def _sorted(pairs: Eigenpairs) -> Eigenpairs:
     )
 
 
-def _modes_wanted(laplacian: Laplacian, parts: list[Ints], k: int, *, all_parts: bool) -> list[int]:
+def _modes_wanted(laplacian: Laplacian, parts: list[Ints], k: int, *, all_parts: bool) -> Ints:
     """Return how many modes of each component may be among the k lowest of all, at most.
 
     Where constants alone are as many, they are the lowest, one of each component; the first ones
@@ -516,10 +518,10 @@ def _modes_wanted(laplacian: Laplacian, parts: list[Ints], k: int, *, all_parts:
     """
     constant = laplacian.constant_components
     if constant.sum() >= k:
-        return (constant & (constant.cumsum() <= k)).astype(int).tolist()
+        return np.where(constant & (constant.cumsum() <= k), 1, 0)
     most = np.array([min(len(part), k) for part in parts])
     if all_parts or len(parts) == 1:
-        return most.tolist()
+        return most
     known = [np.zeros(1) if own else np.empty(0) for own in constant]  # from below
     others = np.zeros(len(parts))  # the lowest that is not the constant's, less a margin
     for rows, values, margin in _small_components(laplacian, parts):
@@ -531,7 +533,7 @@ def _modes_wanted(laplacian: Laplacian, parts: list[Ints], k: int, *, all_parts:
     if len(lowest) >= k:
         above = others > lowest[k - 1]
         most[above] = constant[above]
-    return most.tolist()
+    return most
 
 
 def _small_components(

@@ -75,8 +75,8 @@ def coarse_pairs(
                 values, X = eigh(L.toarray(), M.toarray(), subset_by_index=some)
             return values, np.ascontiguousarray(X)
         except np.linalg.LinAlgError:  # some points are carried to what others are
-            some = np.eye(level.n)
-            return ritz_pairs(L, M, some, block, least=k, rank_tol=_RANK_TOL)[:2]
+            own = np.eye(level.n)
+            return ritz_pairs(L, M, own, block, least=k, rank_tol=_RANK_TOL)[:2]
     noise = np.random.default_rng(seed).standard_normal((level.n, block))
     values, X, _ = ritz_pairs(L, M, noise, block, least=k)
     factor: SparseLDL | None = None
