@@ -13,8 +13,8 @@ from spectra_kit.linalg import SparseLDL
 from spectra_kit.linalg.memory import factor_gigabytes
 from spectra_kit.operators.laplacian import Laplacian
 
-_WORK = 2**17  # points times counts: of surfaces, less than half of what smoothing takes
-_FEW = 5000  # points up to which any operator is counted on
+_WORK = 2**16  # points times counts: a tenth of a second, where smoothing takes some
+_FEW = 10_000  # points up to which any operator is counted on
 _GIGABYTES = 8.0  # of a factor, at most
 _TRUST = 3  # times too low that estimates may be, as solvers say of themselves
 _WEAK = 1e-3  # of the diagonal entries at its ends: an edge that coarse levels may not see as weak
@@ -58,19 +58,22 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
     -----
     Estimates know nothing of a mode that the columns lack. By Sylvester's law, the negative pivots
     of a factor of ``L - sigma M`` are as many as eigenvalues below sigma: if more than j lie below
-    ``values[j] - 3 errors[j]``, the estimate is wrong. Of many modes, only some are held against
-    counts, evenly spread: one that is missing shifts all that come later.
+    ``values[j] - 3 errors[j]``, the estimate is wrong. Of many modes on many points, only some are
+    held against counts, evenly spread.
     """
     n, k = laplacian.n, len(values)
     counts = min(k, _WORK // n)
     if n > _FEW:
         if not is_hard(laplacian) or factor_gigabytes(n) > _GIGABYTES:
             return errors
-        counts = max(counts, 1)
+        counts = max(counts, 2)
     claims = values - _TRUST * errors - rounding(laplacian)
     floors, numbers = [0.0], [0]  # below each floor, so many eigenvalues at most
     refuted, shared = np.zeros(k, dtype=bool), None
-    for j in np.unique(np.linspace(k - 1, 0, counts).round().astype(int))[::-1]:
+    # Above a mode that is missing, each gap has one more below it; within a cluster none tells.
+    gaps = np.flatnonzero(claims > np.append(-np.inf, values[:-1]))
+    some = gaps if counts < k else np.arange(k)
+    for j in some[np.unique(np.linspace(0, len(some) - 1, counts).round().astype(int))[::-1]]:
         if claims[j] <= 0 or refuted[j]:
             continue
         A = sparse.csr_array(laplacian.stiffness - claims[j] * sparse.diags_array(laplacian.mass))
@@ -78,11 +81,14 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
             factor = SparseLDL(A, definite=False, elimination=shared)
         except InvalidInputError:  # a zero pivot: this shift is as good as an eigenvalue
             continue
-        shared, off = factor.elimination, factor.backward_error(laplacian.mass)
-        refuted |= (np.arange(k) < factor.inertia.negative) & (claims > claims[j] + off)
-        refuted[j] |= factor.inertia.negative > j
+        shared, inertia, off = factor.elimination, factor.inertia, 0.0
+        if inertia.negative > j:  # what refutes must be no rounding
+            off = factor.backward_error(laplacian.mass)
+            below = np.arange(k) < inertia.negative
+            refuted |= below & (claims > claims[j] + off)
+            refuted[j] = claims[j] + off < values[j]
         floors.append(claims[j] - off)
-        numbers.append(factor.inertia.negative + factor.inertia.zero)
+        numbers.append(inertia.negative + inertia.zero)
     if not refuted.any():
         return errors
     below = np.array(numbers)[:, None] <= np.arange(k)  # none of these is lower than that floor

@@ -119,8 +119,7 @@ class Cascade(OnPoints):
         few = self.coarsest is None and k <= _FEW_MODES and laplacian.n <= _FEW_POINTS
         if self.subspace is None and (few or not levels):
             why = f"{laplacian.n} points are few for {quantity(k, 'mode')}"
-            solver = Arpack(seed=self.seed)
-            return solver.eigenpairs(laplacian, k)._replace(solver=solver, reason=why)
+            return Arpack(seed=self.seed).or_densely(laplacian, k, why)
         clock.stage("coarsen")
         bottom = levels[-1] if levels else gathers
         with device_memory(), team():
