@@ -73,8 +73,9 @@ class Automatic:
     -----
     An estimate is no proof. Of smoothed modes it may be ten times too low and more, and the
     accuracy be missed, where a coarse level does not see what holds the modes: on plates and rods
-    far thinner than its points are apart, and beside a potential that jumps from point to point.
-    Leave the accuracy out for these.
+    far thinner than its points are apart. Leave the accuracy out for these. Beside a potential, and
+    where masses or weak edges span many decades, estimates are held against counts of the
+    eigenvalues, if a factor fits into memory; what these refute is solved exactly.
 
     Components are chosen for one by one. If any is approximate, so is the spectrum:
     `Certificate.errors` estimates how far its eigenvalues are off. Otherwise they are counted, and

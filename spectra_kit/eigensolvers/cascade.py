@@ -76,6 +76,9 @@ class Cascade(OnPoints):
     of `levels`: Ritz values there are those of the carried functions on all points, and so bounds
     from above.
 
+    Errors estimated are held against counts of the eigenvalues on up to 10,000 points, and on more
+    where coarse levels may not see the modes, as beside a potential. That takes a factor.
+
     Examples
     --------
     >>> from spectra_kit import Arpack, Cascade, eigensolve, robust_laplacian
