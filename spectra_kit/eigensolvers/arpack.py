@@ -34,8 +34,9 @@ class Arpack:
     """Shift-invert Lanczos, exact to rounding: ARPACK for a few modes, spectrum slicing for many.
 
     From 40 modes on, blocks of vectors are iterated on, around as many shifts as that takes, whose
-    factors count the modes between them. Where k is more than a third of n, LAPACK solves the dense
-    problem instead: Lanczos has no room there, and the answer is the same.
+    factors count the modes between them. Where k is more than a third of n, or a cluster stalls one
+    vector on few points, LAPACK solves the dense problem instead: Lanczos has no room there, and
+    the answer is the same.
 
     Parameters
     ----------
@@ -169,14 +170,50 @@ class Arpack:
                 advice=("raise {}", "loosen {}", "use {}"),
                 remedies=("max_restarts", "tol", "Refined"),
             ) from error
-        except ArpackError as error:  # such as no shift that it could apply, within a wide cluster
-            raise NotConvergedError(
-                f"{error}; more equal eigenvalues than Lanczos has room for do this",
-                advice="ask for more modes, or use {}",
-                remedies=("Refined",),
-            ) from error
+        except ArpackError:  # no shift that it could apply, within a wide cluster
+            if laplacian.n >= 2 * MOST:
+                return self._sliced(laplacian, k, sigma)
+            return Dense().eigenpairs(laplacian, k)
         clock.stage("lanczos")
         return Eigenpairs(unit / values + sigma, vectors / root[:, None], clock.seconds)
+
+    def or_densely(self, laplacian: Laplacian, k: int, reason: str) -> Eigenpairs:
+        """Return what this solver finds, or LAPACK where it gives up on few points; says which.
+
+        Parameters
+        ----------
+        laplacian : Laplacian
+            As for `eigenpairs`.
+        k : int
+            Modes.
+        reason : str
+            Why this solver was chosen.
+
+        Returns
+        -------
+        Eigenpairs
+            With ``solver`` and ``reason``.
+
+        Raises
+        ------
+        NotConvergedError
+            On more than `Dense.few` points.
+
+        Examples
+        --------
+        >>> from spectra_kit import Arpack, robust_laplacian
+        >>> from spectra_kit.geometry import sphere
+        >>> ball = robust_laplacian(sphere(subdivisions=3).geometry)
+        >>> Arpack().or_densely(ball, 4, "few points").solver
+        Arpack(tol=0.0, shift=0.1, seed=0, max_restarts=1000)
+        """
+        try:
+            return self.eigenpairs(laplacian, k)._replace(solver=self, reason=reason)
+        except NotConvergedError as error:
+            if laplacian.n > Dense.few:
+                raise
+            dense, why = Dense(), f"{laplacian.n} points are few, and Lanczos gave up ({error})"
+            return dense.eigenpairs(laplacian, k)._replace(solver=dense, reason=why)
 
     def _sliced(self, laplacian: Laplacian, k: int, sigma: float) -> Eigenpairs:
         """Return many modes, from block Lanczos around several shifts."""

@@ -77,8 +77,9 @@ def _absolute(spectrum: Spectrum, laplacian: Laplacian) -> Floats:
         apart = float(np.linalg.norm(gram - np.eye(last - first)))  # from orthonormal
         size = (1 + apart) * float(np.linalg.norm(residuals[first:last]))
         below = values[first] - values[first - 1] if first else np.inf
-        # What no count has told is taken to be no nearer than it is on average.
-        floor = count.floor if count and verified else values[-1] + laplacian.eigenvalue_spacing
+        # What no count has told is taken to be no nearer than it is on average, here or in all.
+        room = min(laplacian.eigenvalue_spacing, (values[-1] - values[0]) / max(k - 1, 1))
+        floor = count.floor if count and verified else values[-1] + room
         higher = values[last] if last < (verified or k) else floor
         gap = min(below, higher - values[last - 1]) - radius - size
         skew = float(np.linalg.norm(quotients - np.diag(theta)))

@@ -11,6 +11,7 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.eigensolvers.arpack import Arpack
+from spectra_kit.eigensolvers.audit import counted_errors
 from spectra_kit.eigensolvers.base import Eigenpairs, Promise, set_device
 from spectra_kit.eigensolvers.starts import basis_with_kernel, block_size
 from spectra_kit.levels import Coarse, coarse_pairs
@@ -75,6 +76,9 @@ class Cascade(OnPoints):
     of `levels`: Ritz values there are those of the carried functions on all points, and so bounds
     from above.
 
+    Errors estimated are held against counts of the eigenvalues on up to 10,000 points, and on more
+    where coarse levels may not see the modes, as beside a potential. That takes a factor.
+
     Examples
     --------
     >>> from spectra_kit import Arpack, Cascade, eigensolve, robust_laplacian
@@ -118,8 +122,7 @@ class Cascade(OnPoints):
         few = self.coarsest is None and k <= _FEW_MODES and laplacian.n <= _FEW_POINTS
         if self.subspace is None and (few or not levels):
             why = f"{laplacian.n} points are few for {quantity(k, 'mode')}"
-            solver = Arpack(seed=self.seed)
-            return solver.eigenpairs(laplacian, k)._replace(solver=solver, reason=why)
+            return Arpack(seed=self.seed).or_densely(laplacian, k, why)
         clock.stage("coarsen")
         bottom = levels[-1] if levels else gathers
         with device_memory(), team():
@@ -155,8 +158,13 @@ class Cascade(OnPoints):
         if order is not None:
             there, vectors = vectors, np.empty_like(vectors)
             vectors[order] = there
-        errors = found.errors if found.steps else None  # carried modes alone tell nothing
-        pairs = Eigenpairs(found.eigenvalues[:k], vectors, clock.seconds, found.steps, errors)
+        values = found.eigenvalues[:k]
+        errors = None  # carried modes alone tell nothing
+        if found.steps:
+            unit = np.maximum(values, laplacian.eigenvalue_spacing)
+            errors = counted_errors(laplacian, values, found.errors * unit) / unit
+            clock.stage("count")
+        pairs = Eigenpairs(values, vectors, clock.seconds, found.steps, errors)
         return pairs if self.subspace is not None else pairs._replace(solver=self)
 
 

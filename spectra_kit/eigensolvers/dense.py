@@ -47,6 +47,8 @@ class Dense:
     """
 
     promise: ClassVar[Promise] = "exact"
+    #: Points up to which others go on densely where they give up: some ten seconds.
+    few: ClassVar[int] = 4000
     max_points: int = 20_000
 
     def __post_init__(self) -> None:

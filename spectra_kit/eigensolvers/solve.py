@@ -7,11 +7,12 @@ import math
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy import sparse
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
@@ -20,7 +21,8 @@ from spectra_kit._version import VERSION
 from spectra_kit.eigensolvers._units import Units
 from spectra_kit.eigensolvers.automatic import Automatic
 from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, NotConvergedError
-from spectra_kit.eigensolvers.bounds import with_bounds
+from spectra_kit.eigensolvers.bounds import rounding, with_bounds
+from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.doubts import warn_of_doubts, with_excess
 from spectra_kit.eigensolvers.refined import Refined
 from spectra_kit.eigensolvers.verification import count_modes, verify
@@ -42,6 +44,8 @@ _NEGATIVE = 1e-6  # eigenvalues down to -this times the spacing are rounding, an
 _CONSTANT = 1e-6  # modes that span the constant but for this share of it span it, up to rounding
 _ROUNDS = 8  # counts, with a search for what is missing between them; two are enough as a rule
 _BEST = 1e-13  # relative residuals not to ask for less than
+_SMALL = 64  # points of components that are looked at together before any is solved
+_TOGETHER = 2**22  # numbers of their matrices at once
 _NEAR = 10  # modes that complete an exact spectrum may have residuals so many times those it has
 
 
@@ -249,9 +253,12 @@ class _Run:
                 why = str(e) or "out of memory"
                 # The last of them may cut a cluster: enough if those wanted have converged.
                 good = getattr(e, "converged", None)
-                if good is None or len(self.parts) > 1 or not good[:k].all():
+                if good is not None and len(self.parts) == 1 and good[:k].all():
+                    pairs = self.merged(k)
+                elif spectrum.provenance.name != "dense" and self.largest <= Dense.few:
+                    pairs = self.densely(k, f"{added or count.missing} passed over, and {why}")
+                else:
                     break
-                pairs = self.merged(k)
             added = max(added, count.missing)
             spectrum = self.packed(Eigenpairs(pairs.eigenvalues[:k], pairs.eigenvectors[:, :k]))
         raise ConvergenceError(
@@ -261,19 +268,35 @@ class _Run:
             n_converged=k,
         )
 
+    def densely(self, k: int, why: str) -> Eigenpairs:
+        """Solve small components by LAPACK, where all else gave up."""
+        dense = Dense()
+        pairs = self.components(k, dense)
+        self.chosen = {i: Chosen(dense, why, len(part)) for i, part in enumerate(self.parts)}
+        return pairs
+
+    @property
+    def largest(self) -> int:
+        """Points of the largest component."""
+        return max(map(len, self.parts))
+
     def components(self, k: int, solver: Eigensolver) -> Eigenpairs:
         """Solve each component, merge the k lowest pairs of all, eigenvectors padded with zeros."""
         laplacian = self.laplacian
         whole = laplacian.n_components == 1 and not len(laplacian.fixed)
         parts = self.parts = [laplacian.free] if whole else _component_indices(laplacian)
         areas = np.array([laplacian.mass[part].sum() for part in parts])
-        most = [min(len(part), k) for part in parts]
+        # Columns of all parts may have few on one, and need the others.
+        given = getattr(solver, "subspace", None) or getattr(solver, "start", None)
+        most = [k]
+        if not whole:
+            most = _modes_wanted(laplacian, parts, k, all_parts=given is not None).tolist()
         # Weyl: a component's share of the low modes is about its share of the area.
         wanted = [
             min(room, math.ceil(1.1 * k * share) + 6)
             for room, share in zip(most, areas / areas.sum(), strict=True)
         ]
-        due = list(range(len(parts)))
+        due = [i for i, room in enumerate(most) if room]
         lacking: RankError | None = None
         while due:
             for i in due:
@@ -285,19 +308,18 @@ class _Run:
                     if error.pairs is not None:
                         self.keep(i, error.pairs)
                     raise
-                except RankError as error:  # columns of all parts may have few on this one
-                    given = getattr(solver, "subspace", None) or getattr(solver, "start", None)
+                except RankError as error:
                     if len(parts) == 1 or given is None or _promise_of(solver) != "approximate":
                         raise
                     lacking, most[i] = error, min(error.rank, wanted[i] - 1)
                     wanted[i] = most[i]
                     self.found[i] = self.connected(part, wanted[i], own)
-            values = [self.found[i].eigenvalues for i in range(len(parts))]
-            cut = np.sort(np.concatenate(values))[k - 1 : k]
+            values = {i: pairs.eigenvalues for i, pairs in self.found.items()}
+            cut = np.sort(np.concatenate([*values.values()]))[k - 1 : k]
             # A component whose last mode is below the cut may hold more below it: ask for more.
             due = [
                 i
-                for i, own_values in enumerate(values)
+                for i, own_values in values.items()
                 if wanted[i] < most[i] and (not len(cut) or own_values.max() < cut[0])
             ]
             for i in due:
@@ -305,7 +327,8 @@ class _Run:
         if lacking is not None and not len(cut):
             raise InvalidInputError(
                 f"the basis of {solver!r} must span at least k = {k} dimensions on all"
-                f" {quantity(len(parts), 'component')} together, got {sum(map(len, values))}",
+                f" {quantity(len(parts), 'component')} together, got"
+                f" {sum(map(len, values.values()))}",
                 advice="ask for fewer modes or use a larger basis",
             ) from lacking
         merged = self.found[0] if whole else self.merged(k)
@@ -338,7 +361,9 @@ class _Run:
             raise
         pairs = _of_checked_form(pairs, solver, (laplacian.n, k))
         self.count(pairs, time.perf_counter() - start)
-        if pairs.eigenvalues.min() < -_NEGATIVE * laplacian.eigenvalue_spacing:
+        if pairs.eigenvalues.min() < -max(
+            _NEGATIVE * laplacian.eigenvalue_spacing, rounding(laplacian)
+        ):
             raise InvalidSpectrumError(
                 f"{solver!r} returned a negative eigenvalue ({pairs.eigenvalues.min():.3e})",
                 advice="is the stiffness positive semi-definite? (Where entries spread over many"
@@ -360,16 +385,17 @@ class _Run:
         for j, source in enumerate(lowest):
             part = owner[source]
             vectors[parts[part], j] = pairs[part].eigenvectors[:, column[source]]
-        told = [own for p in pairs if (own := self.errors_of(p)) is not None]
-        errors = np.concatenate(told)[lowest] if len(told) == len(pairs) else None
+        told = [p.errors for p in pairs]
+        if self.promise == "approximate":  # beside such components, those chosen to be exact
+            told = [
+                np.zeros(len(p.eigenvalues))
+                if own is None and p.solver is not None and _promise_of(p.solver) != "approximate"
+                else own
+                for p, own in zip(pairs, told, strict=True)
+            ]
+        known = [own for own in told if own is not None]
+        errors = np.concatenate(known)[lowest] if len(known) == len(pairs) else None
         return Eigenpairs(values[lowest], vectors, errors=errors)
-
-    def errors_of(self, pairs: Eigenpairs) -> Floats | None:
-        """Return those of a component; zeros for one chosen to be exact beside approximate ones."""
-        exact = pairs.solver is not None and _promise_of(pairs.solver) != "approximate"
-        if pairs.errors is None and exact and self.promise == "approximate":
-            return np.zeros(len(pairs.eigenvalues))
-        return pairs.errors
 
     def rescued(self) -> Spectrum | None:
         """Certify what was solved before a failure, if anything was."""
@@ -481,6 +507,59 @@ def _sorted(pairs: Eigenpairs) -> Eigenpairs:
         eigenvectors=vectors,
         errors=None if errors is None else np.asarray(errors)[order],
     )
+
+
+def _modes_wanted(laplacian: Laplacian, parts: list[Ints], k: int, *, all_parts: bool) -> Ints:
+    """Return how many modes of each component may be among the k lowest of all, at most.
+
+    Where constants alone are as many, they are the lowest, one of each component; the first ones
+    are taken, as of all that are equal. Otherwise, unless `all_parts` are to be solved, the
+    eigenvalues of small ones tell which of them have nothing below the k-th lowest that is known.
+    """
+    constant = laplacian.constant_components
+    if constant.sum() >= k:
+        return np.where(constant & (constant.cumsum() <= k), 1, 0)
+    most = np.array([min(len(part), k) for part in parts])
+    if all_parts or len(parts) == 1:
+        return most
+    known = [np.zeros(1) if own else np.empty(0) for own in constant]  # from below
+    others = np.zeros(len(parts))  # the lowest that is not the constant's, less a margin
+    for rows, values, margin in _small_components(laplacian, parts):
+        for i, own, off in zip(rows, values, margin, strict=True):
+            rest = own[1:] if constant[i] else own
+            known[i] = np.append(known[i], rest + off)
+            others[i] = rest.min(initial=np.inf) - off
+    lowest = np.sort(np.concatenate(known))
+    if len(lowest) >= k:
+        above = others > lowest[k - 1]
+        most[above] = constant[above]
+    return most
+
+
+def _small_components(
+    laplacian: Laplacian, parts: list[Ints]
+) -> Iterator[tuple[Ints, Floats, Floats]]:
+    """Yield which components are of one small size, their eigenvalues, and what rounding is below.
+
+    Together, for a call costs more than such a problem.
+    """
+    sizes = np.array([len(part) for part in parts])
+    place, root = np.empty(laplacian.n, dtype=np.int64), np.sqrt(laplacian.mass)
+    for size in np.unique(sizes[sizes <= _SMALL]):
+        some = np.flatnonzero(sizes == size)
+        for rows in np.array_split(some, math.ceil(len(some) * size**2 / _TOGETHER)):
+            points = np.concatenate([parts[i] for i in rows])
+            place[points] = np.arange(len(points))
+            entries = sparse.coo_array(laplacian.stiffness[points])
+            owner, column = entries.row // size, entries.col
+            inside = laplacian.component_labels[column] == rows[owner]
+            row, owner, column = entries.row[inside], owner[inside], column[inside]
+            stack = np.zeros((len(rows), size, size))
+            stack[owner, row % size, place[column] % size] = (
+                entries.data[inside] / root[points[row]] / root[column]
+            )
+            values = np.linalg.eigvalsh(stack)
+            yield rows, values, _NEGATIVE * np.abs(stack).max(axis=(1, 2))
 
 
 def _component_indices(laplacian: Laplacian) -> list[Ints]:

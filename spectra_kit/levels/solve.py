@@ -17,6 +17,7 @@ _DENSE = 1500  # points whose dense eigenproblem takes no longer than sweeps
 _SWEEPS = 20  # at most; three or four settle random columns
 _DEGREE = 4  # of the filter: solves of each column in a sweep
 _RIDGE = 1e-13  # of the diagonal, added to it in the factor, for what is carried to nothing
+_RANK_TOL = 1e-6  # of its functions: what is carried to less is rounding of the mass
 _SHIFT = 1 / 8  # of the guard eigenvalue, below the spectrum
 
 
@@ -74,7 +75,8 @@ def coarse_pairs(
                 values, X = eigh(L.toarray(), M.toarray(), subset_by_index=some)
             return values, np.ascontiguousarray(X)
         except np.linalg.LinAlgError:  # some points are carried to what others are
-            return ritz_pairs(L, M, np.eye(level.n), block, least=k)[:2]
+            own = np.eye(level.n)
+            return ritz_pairs(L, M, own, block, least=k, rank_tol=_RANK_TOL)[:2]
     noise = np.random.default_rng(seed).standard_normal((level.n, block))
     values, X, _ = ritz_pairs(L, M, noise, block, least=k)
     factor: SparseLDL | None = None

@@ -104,7 +104,7 @@ def ritz_rotation(stiffness: Any, mass: Any, X: Any) -> tuple[Floats, Any]:
     ops = operations(X)
     for _ in range(2):  # rounding in a Gram matrix grows by the inverse of its lowest eigenvalue
         inside, gram = ops.projected(stiffness, X), ops.gram(mass, X)
-        scale = np.sqrt(np.diag(gram))
+        scale = np.sqrt(np.maximum(np.diag(gram), 0.0))  # rounding of what is carried to nothing
         try:
             values, rotation = eigh(inside, gram)
             lowest = np.linalg.eigvalsh(gram / scale / scale[:, None]).min(initial=1.0)

@@ -104,22 +104,28 @@ class Laplacian(Rebuilt):
         """Typical gap between neighbouring eigenvalues, in 1/length^2.
 
         ``4 median(diag L) / tr M``: on a surface mesh of equilateral triangles within a tenth of
-        Weyl's ``4 pi / area``, and of the right unit for any other pair. Shifts and the test
-        for zero modes are relative to it. Where L is mostly zero, Weyl's own value stands in.
+        Weyl's ``4 pi / area``, and of the right unit for any other pair. A potential lifts
+        eigenvalues and parts none from the next: where it is most of the diagonal, the sums of
+        what is beside it stand in. Shifts and the test for zero modes are relative to it. Where L
+        is mostly zero, Weyl's own value stands in.
         """
-        typical = float(np.median(self.stiffness.diagonal()))
-        return (4 * typical if typical > 0 else 4 * np.pi) / self.area
+        alone = np.zeros(self.n, dtype=np.int64)
+        return float(_typical(*self._held, alone)[0] / self.area)
 
     @cached_property
     def component_spacings(self) -> Floats:
         """`eigenvalue_spacing` of each connected component alone, shape (n_components,)."""
-        diagonal = self.stiffness.diagonal()[self.free]
-        labels, mass = self.component_labels[self.free], self.mass[self.free]
-        areas = np.bincount(labels, mass)
-        order = np.argsort(labels, kind="stable")
-        parts = np.split(diagonal[order], np.cumsum(np.bincount(labels))[:-1])
-        typical = np.array([np.median(part) for part in parts])
-        return frozen(np.where(typical > 0, 4 * typical, 4 * np.pi) / areas)
+        labels, (diagonal, beside) = self.component_labels[self.free], self._held
+        typical = _typical(diagonal[self.free], beside[self.free], labels)
+        return frozen(typical / np.bincount(labels, self.mass[self.free]))
+
+    @property
+    def _held(self) -> tuple[Floats, Floats]:
+        """What holds each point: all, and what does beside a potential; (n,) each."""
+        diagonal = self.stiffness.diagonal()
+        sums, rounding = _row_sums(self.stiffness)
+        others = np.asarray(abs(self.stiffness).sum(axis=1)) - diagonal
+        return diagonal, np.where(np.abs(sums) > rounding, np.minimum(diagonal, others), diagonal)
 
     @cached_property
     def component_labels(self) -> Ints:
@@ -211,8 +217,17 @@ class Laplacian(Rebuilt):
             raise InvalidInputError(
                 "indices", "be a vector of at least one point", f"shape {indices.shape}"
             )
+        rows = self.stiffness[indices]
+        if (np.diff(indices) > 0).all():  # at a cost that knows nothing of the other points
+            place = np.searchsorted(indices, rows.indices)
+            inside = indices[np.minimum(place, len(indices) - 1)] == rows.indices
+            starts = np.concatenate([[0], np.cumsum(inside)])[rows.indptr]
+            shape = (len(indices), len(indices))
+            block = sparse.csr_array((rows.data[inside], place[inside], starts), shape=shape)
+        else:
+            block = sparse.csr_array(rows[:, indices])
         return Laplacian(
-            sparse.csr_array(self.stiffness[indices][:, indices]),
+            block,
             self.mass[indices],
             self.points[indices],
             operator=self.operator,
@@ -297,6 +312,23 @@ def with_zero_sums(stiffness: sparse.sparray) -> sparse.csr_array:
     matrix = sparse.csr_array(stiffness)
     sums, rounding = _row_sums(matrix)
     return sparse.csr_array(matrix - sparse.diags_array(np.where(np.abs(sums) > rounding, sums, 0)))
+
+
+def _typical(diagonal: Floats, beside: Floats, labels: Ints) -> Floats:
+    """Return four times the median of what holds the points of each component, by label.
+
+    Without the potential where that is most of it; beside fixed points it is not.
+    """
+    all_of_it, rest = (_medians(values, labels) for values in (diagonal, beside))
+    held = np.where((rest > 0) & (rest < all_of_it / 2), rest, all_of_it)
+    return np.where(held > 0, 4 * held, 4 * np.pi)
+
+
+def _medians(values: Floats, labels: Ints) -> Floats:
+    """Return the median of the values of each label."""
+    sizes, ascending = np.bincount(labels), values[np.lexsort((values, labels))]
+    first = np.cumsum(sizes) - sizes
+    return np.asarray((ascending[first + (sizes - 1) // 2] + ascending[first + sizes // 2]) / 2)
 
 
 def _row_sums(stiffness: sparse.csr_array) -> tuple[Floats, Floats]:

@@ -92,7 +92,7 @@ class Certificate(Rebuilt):
         from residuals that they solve for, other spectra from residuals and gaps (Kato and Temple);
         of predictions with relative residuals above 0.1 they tell nothing. An estimate knows
         nothing of a mode that was passed over, and is too low on shapes that are thin beside the
-        spacing of coarse levels.
+        spacing of coarse levels, but for what counts of the eigenvalues refute.
     bounded : ndarray of bool, shape (k,)
         Whether the error is a bound, which takes a count of the eigenvalues and is proved up to the
         rounding of the matrices; otherwise it is an estimate. False without `errors`.

@@ -1,0 +1,103 @@
+"""Operators of many parts: only those are solved that may have one of the lowest modes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from conftest import whole_spectrum
+from scipy import sparse
+
+import spectra_kit as sk
+from spectra_kit.geometry import TriangleMesh, sphere
+
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+SIDES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+
+
+def tetrahedra(number: int, seed: int = 0) -> TriangleMesh:
+    """Of any size, far from each other."""
+    sizes = np.random.default_rng(seed).uniform(0.3, 1, (number, 1, 1))
+    apart = 4 * np.arange(number)[:, None, None] * np.array([1, 0, 0])
+    faces = SIDES + 4 * np.arange(number)[:, None, None]
+    return TriangleMesh((sizes * CORNERS + apart).reshape(-1, 3), faces.reshape(-1, 3))
+
+
+def with_balls(number: int) -> TriangleMesh:
+    """Tetrahedra beside three balls, whose modes are lower."""
+    small, ball = tetrahedra(number), sphere(subdivisions=2).geometry
+    meshes = [small] + [
+        TriangleMesh(size * ball.points + [0, 30 * size, 0], ball.faces) for size in (3, 4, 5)
+    ]
+    starts = np.cumsum([0] + [mesh.n for mesh in meshes])
+    return TriangleMesh(
+        np.vstack([mesh.points for mesh in meshes]),
+        np.vstack([mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]),
+    )
+
+
+@dataclass(frozen=True)
+class Told:
+    """A solver of one's own, which tells how often it was called."""
+
+    sizes: list[int] = field(default_factory=list)
+    promise = "exact"
+
+    def eigenpairs(self, laplacian, k):
+        self.sizes.append(laplacian.n)
+        return sk.Dense().eigenpairs(laplacian, k)
+
+
+@pytest.mark.parametrize("k", [1, 10, 40])
+def test_constants_of_the_first_parts_are_all_that_is_solved_for(k) -> None:
+    laplacian, told = sk.laplacian(tetrahedra(40)), Told()
+    spectrum = sk.eigensolve(laplacian, k, told)
+    assert told.sizes == [4] * k
+    assert (spectrum.eigenvalues == 0).all()
+    assert spectrum.certificate.level == "verified"
+    assert spectrum.n_zero_modes == k
+    parts = laplacian.component_labels
+    np.testing.assert_array_equal([parts[u != 0].max() for u in spectrum.eigenvectors.T], range(k))
+
+
+SOLVERS = [sk.Automatic(), sk.Automatic(accuracy=1e-3), sk.Dense(), sk.Refined(), sk.Cascade()]
+
+
+@pytest.mark.parametrize("solver", [*SOLVERS, sk.Neo()], ids=repr)
+@pytest.mark.parametrize("k", [20, 40, 70])
+def test_the_lowest_of_all_parts_are_found(solver, k) -> None:
+    laplacian = sk.laplacian(with_balls(30))
+    truth = whole_spectrum(laplacian)[0][:k]
+    found = sk.eigensolve(laplacian, k, solver).eigenvalues
+    np.testing.assert_allclose(found, truth, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("k", [5, 20])
+def test_parts_without_a_constant_are_looked_at_together(k) -> None:
+    """One corner of each is held: the largest tetrahedra have the lowest modes."""
+    mesh, told = tetrahedra(200), Told()
+    laplacian = sk.laplacian(mesh).dirichlet(np.arange(0, mesh.n, 4))
+    spectrum = sk.eigensolve(laplacian, k, told)
+    truth = whole_spectrum(laplacian)[0][:k]
+    np.testing.assert_allclose(spectrum.eigenvalues, truth, rtol=1e-9)
+    assert len(told.sizes) <= k
+    assert spectrum.certificate.level == "verified"
+
+
+def test_isolated_points_with_a_potential() -> None:
+    """Of no energy but their own: the lowest heights, in order."""
+    height = np.random.default_rng(0).permutation(np.arange(1.0, 301.0))
+    points = np.random.default_rng(1).random((300, 3))
+    laplacian = sk.Laplacian(sparse.csr_array(sparse.diags_array(height)), np.ones(300), points)
+    np.testing.assert_array_equal(sk.eigensolve(laplacian, 12).eigenvalues, np.arange(1.0, 13.0))
+
+
+def test_a_part_is_the_operator_on_its_points() -> None:
+    laplacian = sk.laplacian(tetrahedra(5))
+    some = np.array([4, 5, 6, 7, 9])
+    part = laplacian.restricted(some)
+    expected = laplacian.stiffness.toarray()[np.ix_(some, some)]
+    np.testing.assert_array_equal(part.stiffness.toarray(), expected)
+    turned = laplacian.restricted(some[::-1])
+    np.testing.assert_array_equal(turned.stiffness.toarray(), expected[::-1, ::-1])
