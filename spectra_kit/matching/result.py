@@ -150,18 +150,13 @@ class Match(Rebuilt):
         """Number of other maps that are as good, as far as can be seen, of a round surface.
 
         Of the same orientation, with nothing in common with the chosen one, and not twice as bad,
-        or good by themselves. 0 of surfaces that are not `clustered`.
+        or good by themselves, in score and at the landmarks. 0 of surfaces that are not
+        `clustered`.
         """
         if self.clustered < _CLUSTERED:
             return 0
         chosen, *others = self.candidates
-        C, limit = chosen.functional_map, max(_ALIKE * chosen.score, _GOOD)
-        return sum(
-            other.mirrored == chosen.mirrored
-            and other.score < limit
-            and ((other.functional_map - C) ** 2).sum() / len(C) > _NOTHING_SHARED
-            for other in others
-        )
+        return sum(_as_good(other, chosen) for other in others)
 
     @property
     def landmarks_held(self) -> Bools | None:
@@ -265,3 +260,14 @@ class Match(Rebuilt):
             sure = f"{self.covered.sum()} covered"
         size = f"{len(self.point_map)} points, k={len(self.functional_map)}"
         return f"Match({size}, {how}, {sure}{doubt})"
+
+
+def _as_good(other: Candidate, chosen: Candidate) -> bool:
+    """Tell whether a map that shares nothing with the chosen one may be right as well."""
+    C, values, best = chosen.functional_map, other.mismatches, chosen.mismatches
+    tells = [(other.score, chosen.score), (values.get("landmarks", 0), best.get("landmarks", 0))]
+    return (
+        other.mirrored == chosen.mirrored
+        and all(it < max(_ALIKE * right, _GOOD) for it, right in tells)
+        and bool(((other.functional_map - C) ** 2).sum() > _NOTHING_SHARED * len(C))
+    )
