@@ -16,9 +16,8 @@ _WEIGHTS = {"score": -0.98, "torn": -2.13, "margin": 13.55, "coverage": 10.29}
 _INTERCEPT = -23.83
 _LEAST = 1e-3  # added to the share that is torn
 _SEEN = -5.0  # its logarithm where it is not known: says neither yes nor no
-# Odds of shapes of one kind to have other genera, as scans do whose hands touch the body, against
-# those of unrelated shapes: one to fifty.
-_OTHER_GENUS = -4.0
+# Of what right maps hardly ever have, and which was not fitted for want of them: one to fifty.
+_AGAINST = -4.0
 _MARGINS, _COVERAGES = (-0.1, 0.3), (0.8, 1.6)  # beyond which more says no more
 
 
@@ -28,11 +27,13 @@ def confidence_of(
     torn: float | None,
     margin: float | None,
     coverage: float,
-    genera: tuple[int, int] | None = None,
+    against: int = 0,
 ) -> float:
     """Return how likely a map with such attributes of `Match` is right, in [0, 1].
 
     Without a margin, as of a map that was compared with no other, as if a rival scored as well.
+    `against` counts the doubts that right maps of bodies and animals hardly ever raise: an unclear
+    orientation, and other genera.
     """
     evidence = {
         "score": np.log(score),
@@ -41,6 +42,5 @@ def confidence_of(
         "coverage": np.clip(coverage, *_COVERAGES),
     }
     logit = _INTERCEPT + sum(_WEIGHTS[name] * value for name, value in evidence.items())
-    if genera is not None and genera[0] != genera[1]:
-        logit += _OTHER_GENUS
+    logit += _AGAINST * against
     return float(1 / (1 + np.exp(-logit)))

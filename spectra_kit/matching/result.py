@@ -172,10 +172,11 @@ class Match(Rebuilt):
     def confidence(self) -> float:
         """How likely the map is right, in [0, 1].
 
-        A logistic of score, tears, margin, coverage and whether the genera differ, fitted to
-        `match` of bodies (FAUST, SCAPE) and animals (SMAL, TOSCA), and of bodies with animals: of
-        other kinds of shapes, and of parts (`covered`), it is a guess. Maps that are `alike` have
-        equal shares of it; and it is lowered by the share of landmarks that are lost. An only
+        A logistic of score, tears, margin and coverage, fitted to `match` of bodies (FAUST, SCAPE)
+        and animals (SMAL, TOSCA), and of bodies with animals: of other kinds of shapes, and of
+        parts (`covered`), it is a guess. Doubts about orientation and genera lower its odds to a
+        fiftieth each; maps that are `alike` have equal shares of it; and so much of it is lost as
+        of the landmarks. An only
         candidate, as those of a collection or of an `initial` map are, has as much as if a rival
         scored as well. It does not see other symmetries: of a surface that is one with itself
         turned or mirrored, a wrong map looks like a right one. See `ambiguous`.
@@ -186,7 +187,7 @@ class Match(Rebuilt):
             torn=self.torn,
             margin=margin,
             coverage=self.coverage,
-            genera=self.genera,
+            against=len({"orientation", "genera"} & set(self.doubts)),
         )
         held = self.landmarks_held
         return likely / (1 + self.alike) * (1.0 if held is None else float(held.mean()))
