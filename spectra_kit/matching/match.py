@@ -55,6 +55,7 @@ from spectra_kit.matching.tears import torn
 from spectra_kit.matching.topology import clustered, compared
 from spectra_kit.spectra import Spectrum
 
+_SEEN_FROM = 12  # landmarks at most: all are fitted, but the time grows with what each sees
 _LANDMARK_ENERGIES = 20  # of the wave kernel signature seen from each landmark
 _SAME = 0.05  # squared difference per mode below which two maps are one
 _RIVAL = 0.15  # the same, below which one is no rival of the other
@@ -434,12 +435,15 @@ class Search:
 
     def _fitted(self, landmarks: Pairs) -> list[Floats]:
         """Return functional maps that fit the landmarks: by what is seen from them, and how far."""
-        count = _LANDMARK_ENERGIES
+        count, every = _LANDMARK_ENERGIES, -(-len(landmarks[0]) // _SEEN_FROM)
         f, g = (
             normalize_descriptors(
                 side.spectrum,
                 np.hstack(
-                    [side.wave, landmark_wave_kernel_signature(side.spectrum, points, count=count)]
+                    [
+                        side.wave,
+                        landmark_wave_kernel_signature(side.spectrum, points[::every], count=count),
+                    ]
                 ),
             )
             for side, points in zip((self._a, self._b), landmarks, strict=True)
