@@ -92,6 +92,17 @@ def test_a_bent_and_remeshed_copy_by_landmarks(files, tmp_path, capsys):
     assert result["match"]["orientation"] > 0.5
 
 
+@pytest.mark.parametrize("known", [("--aligned",), ("--initial", "order.npy")])
+def test_what_is_aligned_is_refined(files, tmp_path, capsys, known):
+    """A renumbered copy: nothing is searched for, and the order is found."""
+    option, *name = known
+    given = (option, *(files / one for one in name))
+    pair = (files / "animal.off", files / "permuted.off", "-k", 40, "-o", tmp_path / "out")
+    result = report(capsys, *pair, *given)
+    assert result["match"]["candidates"] == 1
+    assert (np.load(tmp_path / "out" / "point_map.npy") == np.load(files / "order.npy")).all()
+
+
 def test_clouds_are_matched_and_judged_as_far_as_they_can_be(files, tmp_path, capsys):
     pair = (files / "cloud.ply", files / "cloud.ply")
     result = report(capsys, *pair, "-k", 40, "-o", tmp_path / "out")
@@ -172,6 +183,8 @@ def test_the_demo_draws_its_pictures(tmp_path, capsys, monkeypatch):
         (("margin", "mirror_margin"), "scores as well, one that mirrors scores better"),
         (("orientation", "consistent"), "whole map, it is in doubt which side of a cloud is out"),
         (("coverage", "score"), "than chance would, the surfaces look no more alike than"),
+        (("alike", "genera"), "others look as good, the surfaces have other numbers of handles"),
+        (("rims", "landmark_distances"), "where the other is, it does not lead to all landmarks"),
     ],
 )
 def test_every_doubt_is_told(doubts, why):
@@ -230,6 +243,7 @@ def test_bad_input_is_refused_before_the_work(files, tmp_path, capsys, monkeypat
     np.save("short.npy", np.arange(7))
     np.save("beyond.npy", np.load(files / "truth.npy") + 100)
     np.savez("several.npz", a=np.arange(3))
+    np.save("unknown.npy", np.load(files / "truth.npy") - 1)
     truth, landmarks = files / "truth.npy", files / "landmarks.txt"
     for options, message in (
         (("--landmarks", truth), not_two),
@@ -240,6 +254,10 @@ def test_bad_input_is_refused_before_the_work(files, tmp_path, capsys, monkeypat
         (("--truth", "several.npz"), "not a whole npy file of numbers (it begins"),
         (("--truth", truth, "--repair"), "repair or sample first"),
         (("--landmarks", landmarks, "--cloud", 700), "repair or sample first"),
+        (("--initial", truth, "--repair"), "repair or sample first"),
+        (("--initial", "unknown.npy"), "are source and target exchanged?"),
+        (("--initial", truth, "--aligned"), "--initial has no effect with --aligned; give one"),
+        (("--part", "--aligned"), "--aligned has no effect with --part; match wholes"),
         (("-o", tmp_path / "no" / "out"), "cannot make"),
         (("-o", tmp_path / "broken.npy"), "a file has that name"),
         (("--part", "--landmarks", landmarks), "--landmarks has no effect with --part; match"),
