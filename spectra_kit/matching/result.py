@@ -10,7 +10,7 @@ from scipy import sparse
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Bools, Floats, Ints
-from spectra_kit._validate import Rebuilt
+from spectra_kit._validate import Rebuilt, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.matching.confidence import confidence_of
 from spectra_kit.matching.options import DEFAULT, MatchOptions
@@ -139,6 +139,12 @@ class Match(Rebuilt):
                 "have the shape of `point_map`",
                 f"{self.covered.shape} and {self.point_map.shape}",
             )
+        if self.landmark_distances is not None:
+            apart = real_array("landmark_distances", self.landmark_distances)
+            if apart.ndim != 1 or not len(apart):
+                raise InvalidInputError(
+                    "landmark_distances", "have shape (l,), l >= 1", apart.shape
+                )
 
     @property
     def score(self) -> float:

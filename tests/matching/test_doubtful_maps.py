@@ -53,10 +53,13 @@ def part_of(mesh: TriangleMesh, kept: np.ndarray) -> TriangleMesh:
 
 
 @pytest.mark.parametrize("holes", [0, 1, 3])
-@pytest.mark.parametrize(("made", "genus"), [(sphere, 0), (torus, 1)])
-def test_handles_and_rims_are_counted(made, genus, holes) -> None:
+@pytest.mark.parametrize(
+    ("mesh", "genus"),
+    [(sphere(subdivisions=3).geometry, 0), (torus(n=800).geometry, 1)],
+    ids=["ball", "ring"],
+)
+def test_handles_and_rims_are_counted(mesh, genus, holes) -> None:
     """Holes are no handles, and a rim is as long as the edges around the triangles left out."""
-    mesh = made(n=800).geometry
     apart = [0, mesh.n // 3, 2 * mesh.n // 3][:holes]
     centres = [int(mesh.faces[(mesh.faces == v).any(axis=1)][0, 0]) for v in apart]
     left_out = np.isin(mesh.faces, centres).any(axis=1)
@@ -99,7 +102,7 @@ def test_eigenvalues_in_clusters_are_seen() -> None:
 
 @pytest.mark.parametrize(
     "other",
-    [creature(600), torus(n=600).geometry, sphere(n=600).geometry],
+    [creature(600), torus(n=600).geometry, sphere(subdivisions=3).geometry],
     ids=["animal", "ring", "ball"],
 )
 def test_noise_is_no_map_of_anything(other) -> None:
