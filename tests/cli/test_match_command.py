@@ -193,6 +193,7 @@ def test_every_doubt_is_told(doubts, why):
     assert ("does not mirror" in turned) == ("mirror_margin" in doubts)
 
 
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulMatchWarning")
 def test_an_ambiguous_match_says_why(tmp_path, capsys):
     ball = sphere(subdivisions=2).geometry
     turn = Rotation.from_rotvec([0.3, 0.5, 0.7]).as_matrix()
@@ -202,6 +203,8 @@ def test_an_ambiguous_match_says_why(tmp_path, capsys):
     result = report(capsys, *eggs, "-k", 30, "--sides", "kept", "-o", tmp_path / "out")
     assert result["match"]["ambiguous"] is True
     assert "another map scores as well" in result["match"]["doubts"]
+    assert "so round that others look as good" in result["match"]["doubts"]
+    assert result["match"]["convincing"] is False
     assert result["match"]["other_side"] is None  # not tried
 
 
