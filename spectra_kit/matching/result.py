@@ -21,7 +21,8 @@ Doubt = Literal[
     "genera", "rims", "landmark_distances",
 ]  # fmt: skip
 _AMBIGUOUS = {"margin", "mirror_margin", "alike", "orientation", "consistent"}
-_OTHERS = {"orientation", "coverage", "score", "torn", "genera"}  # right maps have one at most
+_ALONE = {"alike", "rims", "score"}  # that count by themselves
+_OTHERS = {"orientation", "coverage", "torn", "genera"}  # right maps have one at most
 
 _CLUSTERED = 1.5  # times chance: bodies and animals have less, round shapes more
 _NOTHING_SHARED = 1.0  # squared difference per mode: half of that of maps at random
@@ -212,14 +213,14 @@ class Match(Rebuilt):
     def convincing(self) -> bool:
         """Whether the map is rather right than wrong, by confidence and doubts.
 
-        Its confidence is 0.5 or more, no map is `alike`, the rims do not speak against it, and of
-        orientation, coverage, score, tears and genera one does at most. Of a part, for which
+        Its confidence is 0.5 or more, no map is `alike`, neither score nor rims speak against it,
+        and of orientation, coverage, tears and genera one does at most. Of a part, for which
         confidence is not calibrated, neither score, coverage nor rims may.
         """
         doubts = set(self.doubts)
         if self.covered is not None:
             return not {"coverage", "score", "rims"} & doubts
-        if {"alike", "rims"} & doubts or len(_OTHERS & doubts) > 1:
+        if _ALONE & doubts or len(_OTHERS & doubts) > 1:
             return False
         return self.confidence >= 0.5
 
