@@ -253,6 +253,7 @@ def _arrays(match: Match) -> dict[str, NDArray[Any]]:
         float(match.mirrored),
         *(np.nan if one is None else one for one in (match.orientation, match.torn)),
         *(match.margin, match.mirror_margin, match.consistent, match.coverage),
+        *(match.clustered, *match.rims, *(match.genera or (np.nan, np.nan))),
     ]
     return {
         "point_map": match.point_map,
@@ -273,7 +274,8 @@ def _restored(options: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) ->
     kept = tuple((int(modes), int(count)) for modes, count in options["kept"])
     weights = ScoreWeights(**options["weights"])
     judged: list[float] = arrays["judged"].tolist()
-    mirrored, orientation, torn, margin, mirror_margin, consistent, coverage = judged
+    mirrored, orientation, torn, margin, mirror_margin, consistent, coverage, *more = judged
+    clustered, *rims, genus, other = more or [1.0, 0.0, 0.0, np.nan, np.nan]  # of older releases
     mismatches = {
         name.removeprefix(_MISMATCH): values.tolist()
         for name, values in arrays.items()
@@ -302,4 +304,7 @@ def _restored(options: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) ->
         torn=None if np.isnan(torn) else torn,
         candidates=candidates,
         options=MatchOptions(**{**options, "kept": kept, "weights": weights}),
+        clustered=clustered,
+        rims=(rims[0], rims[1]),
+        genera=None if np.isnan(genus) else (int(genus), int(other)),
     )

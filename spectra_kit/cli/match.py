@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy import sparse
+from scipy.spatial import cKDTree
 
 from spectra_kit._types import Ints
 from spectra_kit._validate import check_indices
@@ -57,14 +58,18 @@ def match_shapes(asked: program.Match) -> None:
     # The demo is one animal in two poses, whose true map is known.
     is_demo = asked.source == asked.target == DEMO and asked.cloud is None
     renumbered = asked.repair or asked.cloud is not None
-    if renumbered and (asked.landmarks or asked.truth):
+    if renumbered and (asked.landmarks or asked.truth or asked.initial):
         raise InvalidInputError(
-            "--landmarks and --truth number the points of the files, which --repair and --cloud"
-            " change",
+            "--landmarks, --initial and --truth number the points of the files, which --repair and"
+            " --cloud change",
             advice="repair or sample first, and match what came out",
         )
     if asked.part:
-        refuse_given(asked, ["landmarks", "precise"], "with --part; match wholes")
+        refuse_given(
+            asked, ["landmarks", "precise", "initial", "aligned"], "with --part; match wholes"
+        )
+    if asked.aligned:
+        refuse_given(asked, ["initial"], "with --aligned; give one of them")
     if asked.k < LOWEST_K:
         raise InvalidInputError(
             "-k", f"be at least {LOWEST_K}", asked.k, advice="solve for more (150 match best)"
@@ -79,7 +84,7 @@ def match_shapes(asked: program.Match) -> None:
     known = (*_MAPS, _COVERED, _PRECISE, *_SIDES, *_PICTURES)
     check_folder(folder, files, known, asked.inputs)
 
-    truth = landmarks = None
+    truth = landmarks = initial = None
     one: Geometry
     other: Geometry
     if is_demo:
@@ -90,13 +95,17 @@ def match_shapes(asked: program.Match) -> None:
         other, _ = load(asked.target, asked, pose=2)
     _check_triangles(asked, one, other)
     if asked.truth:
-        truth = _read_truth(asked.truth, one.n, other.n)
+        truth = _read_map(asked.truth, "--truth", one.n, other.n)
+    if asked.initial:
+        initial = _read_map(asked.initial, "--initial", one.n, other.n)
+    elif asked.aligned:
+        initial = cKDTree(one.points).query(other.points)[1]
     if asked.landmarks:
         landmarks = _read_landmarks(asked.landmarks, one.n, other.n)
     source = _solve(asked, asked.source, one)
     target = _solve(asked, asked.target, other)
     with step("matching"):
-        found, quality = _matched(asked, source, target, landmarks)
+        found, quality = _matched(asked, source, target, landmarks, initial)
     with step("judging the map"):
         quality |= quality_of(source, target, found)
         errors, label = None, ""
@@ -185,7 +194,11 @@ def _check_triangles(asked: program.Match, source: Geometry, target: Geometry) -
 
 
 def _matched(
-    asked: program.Match, source: Side, target: Side, landmarks: tuple[Ints, Ints] | None
+    asked: program.Match,
+    source: Side,
+    target: Side,
+    landmarks: tuple[Ints, Ints] | None,
+    initial: Ints | None,
 ) -> tuple[Match, tables.Record]:
     """The maps, and what the match says of itself."""
     start = time.perf_counter()
@@ -196,8 +209,14 @@ def _matched(
         found = match_part(first, second, mirrored=mirrored, k=k)
     else:
         found = match(
-            *(first, second), landmarks=landmarks, mirrored=mirrored, k=k, precise=asked.precise
+            *(first, second),
+            landmarks=landmarks,
+            initial=initial,
+            mirrored=mirrored,
+            k=k,
+            precise=asked.precise,
         )
+    held = found.landmarks_held
     return found, {
         "prepare_seconds": middle - start,
         "match_seconds": time.perf_counter() - middle,
@@ -210,6 +229,8 @@ def _matched(
         "score": found.score,
         "torn": found.torn,
         "candidates": len(found.candidates),
+        **({} if not found.alike else {"alike": found.alike}),
+        **({} if held is None else {"landmarks_held": int(held.sum())}),
         "mirrored": found.mirrored,
         "orientation": found.orientation,
         "coverage_over_chance": found.coverage,
@@ -248,23 +269,24 @@ def _read_landmarks(path: Path, n_source: int, n_target: int) -> tuple[Ints, Int
         raise InvalidFileError(path, problem) from error
 
 
-def _read_truth(path: Path, n_source: int, n_target: int) -> Ints:
-    """An integer for each target point, below n_source; negative where it is not known."""
+def _read_map(path: Path, option: str, n_source: int, n_target: int) -> Ints:
+    """An integer for each target point, below n_source; negative where the truth is not known."""
     try:
-        truth = np.asarray(read_npy(path)[0])
+        read = np.asarray(read_npy(path)[0])
     except InvalidInputError as error:
         raise InvalidFileError(path, error) from error
-    fits = truth.dtype.kind in "iu" and truth.shape == (n_target,)
-    if not fits or truth.max() < 0 or truth.max() >= n_source:
+    truth = option == "--truth"
+    fits = read.dtype.kind in "iu" and read.shape == (n_target,)
+    if not fits or read.max() < 0 or read.max() >= n_source or (read.min() < 0 and not truth):
         problem = InvalidInputError(
-            "--truth",
-            f"hold {n_target} integers below {n_source}, the source point of each target point,"
-            " some of them known",
-            f"{truth.dtype} of shape {truth.shape}",
+            option,
+            f"hold {n_target} integers below {n_source}, the source point of each target point"
+            + (", some of them known" if truth else ""),
+            f"{read.dtype} of shape {read.shape}",
             advice="are source and target exchanged?",
         )
         raise InvalidFileError(path, problem)
-    return np.asarray(truth, dtype=np.int64)
+    return np.asarray(read, dtype=np.int64)
 
 
 def doubts_of(found: Match) -> str:
@@ -273,11 +295,15 @@ def doubts_of(found: Match) -> str:
     told: dict[Doubt, str] = {
         "margin": "another map scores as well",
         "mirror_margin": f"one that {other} scores better",
+        "alike": "the surfaces are so round that others look as good",
         "orientation": "its orientation is not that of a whole map",
         "consistent": "it is in doubt which side of a cloud is out",
         "coverage": "it covers hardly more of the source than chance would",
         "score": "the surfaces look no more alike than unrelated ones",
         "torn": "it takes neighbours apart",
+        "genera": "the surfaces have other numbers of handles",
+        "rims": "at least one is cut off, and not where the other is",
+        "landmark_distances": "it does not lead to all landmarks",
     }
     return ", ".join(told[name] for name in found.doubts)
 

@@ -111,7 +111,16 @@ class Read(Command):
     @property
     def inputs(self) -> list[Path]:
         """The files that are read."""
-        named = ("file", "source", "target", "spectrum", "landmarks", "truth", "labeller")
+        named = (
+            "file",
+            "source",
+            "target",
+            "spectrum",
+            "landmarks",
+            "initial",
+            "truth",
+            "labeller",
+        )
         given = (getattr(self, name, None) for name in named)
         return [Path(file) for file in given if isinstance(file, str | Path) and file != DEMO]
 

@@ -182,6 +182,12 @@ class _Known(_Sides, _Pair):
     landmarks: Path | None = None
     """corresponding points: a line for each with its number on the source and on the target,
     counted from 0"""
+    aligned: bool = False
+    """the shapes lie on each other, as two moments of a recording do: begin with nearest points,
+    and search for no other map"""
+    initial: Path | None = None
+    """begin with this map, and search for no other: the source point of each target point, an .npy
+    file"""
     truth: Path | None = None
     """the true source point of each target point, an .npy file to measure errors by (negative:
     unknown)"""

@@ -8,7 +8,18 @@ from pathlib import Path
 
 from spectra_kit.catalogue import OPERATORS, SOLVERS
 
-_SAME = ("modes", "rtol", "seed", "dpi", "turn", "landmarks", "operator", "boundary", "cloud")
+_SAME = (
+    "modes",
+    "rtol",
+    "seed",
+    "dpi",
+    "turn",
+    "landmarks",
+    "initial",
+    "operator",
+    "boundary",
+    "cloud",
+)
 _MANY = ("nworkers", "nthreads", "memory_limit", "scheduler", "scheduler_file")  # of Dask
 _OPTIONS = {
     "k": "-k",

@@ -16,15 +16,24 @@ _WEIGHTS = {"score": -0.98, "torn": -2.13, "margin": 13.55, "coverage": 10.29}
 _INTERCEPT = -23.83
 _LEAST = 1e-3  # added to the share that is torn
 _SEEN = -5.0  # its logarithm where it is not known: says neither yes nor no
+# Of what right maps hardly ever have, and which was not fitted for want of them: one to fifty.
+_AGAINST = -4.0
 _MARGINS, _COVERAGES = (-0.1, 0.3), (0.8, 1.6)  # beyond which more says no more
 
 
 def confidence_of(
-    *, score: float, torn: float | None, margin: float | None, coverage: float
+    *,
+    score: float,
+    torn: float | None,
+    margin: float | None,
+    coverage: float,
+    against: int = 0,
 ) -> float:
     """Return how likely a map with such attributes of `Match` is right, in [0, 1].
 
     Without a margin, as of a map that was compared with no other, as if a rival scored as well.
+    `against` counts the doubts that right maps of bodies and animals hardly ever raise: an unclear
+    orientation, and other genera.
     """
     evidence = {
         "score": np.log(score),
@@ -33,4 +42,5 @@ def confidence_of(
         "coverage": np.clip(coverage, *_COVERAGES),
     }
     logit = _INTERCEPT + sum(_WEIGHTS[name] * value for name, value in evidence.items())
+    logit += _AGAINST * against
     return float(1 / (1 + np.exp(-logit)))

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import check_count, warn
+from spectra_kit._validate import check_count, quantity, warn
 from spectra_kit.descriptors import landmark_wave_kernel_signature, normalize_descriptors
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.functional_maps import (
@@ -19,6 +20,7 @@ from spectra_kit.functional_maps import (
     functional_map_from_point_map,
     zoomout_many,
 )
+from spectra_kit.functional_maps.checks import check_point_map
 from spectra_kit.functional_maps.fit import Landmarks, check_landmarks
 from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.functional_maps.precise import into_triangles
@@ -33,6 +35,7 @@ from spectra_kit.matching.everywhere import (
     by_modes,
     on_matched,
 )
+from spectra_kit.matching.landmarks import ENOUGH, Pairs, kept, left_by, located
 from spectra_kit.matching.options import DEFAULT, MatchOptions
 from spectra_kit.matching.prepare import (
     CURVATURE_SCALE,
@@ -49,10 +52,10 @@ from spectra_kit.matching.score import (
     scored,
 )
 from spectra_kit.matching.tears import torn
+from spectra_kit.matching.topology import clustered, compared
 from spectra_kit.spectra import Spectrum
 
-Pairs = tuple[Ints, Ints]
-
+_SEEN_FROM = 12  # landmarks at most: all are fitted, but the time grows with what each sees
 _LANDMARK_ENERGIES = 20  # of the wave kernel signature seen from each landmark
 _SAME = 0.05  # squared difference per mode below which two maps are one
 _RIVAL = 0.15  # the same, below which one is no rival of the other
@@ -69,6 +72,7 @@ def match(
     source_geometry: Geometry | None = None,
     target_geometry: Geometry | None = None,
     landmarks: Landmarks | None = None,
+    initial: ArrayLike | None = None,
     mirrored: bool | None = None,
     k: int = 150,
     elastic: bool = True,
@@ -85,8 +89,12 @@ def match(
         Of a `Spectrum`: the surface, for its sides and its curvature. Without them the match may
         be flipped, and its `orientation` is None.
     landmarks : (array_like of shape (l,), array_like of shape (l,)), optional
-        Source and target points known to correspond. They make one more candidate and count in
-        the scores; the final map is free to leave them by a little.
+        Source and target points known to correspond. They make one more candidate, or two from
+        three on, and count in the scores. What the map takes near to where it belongs is set right;
+        the others are told: see `Match.landmark_distances`.
+    initial : array_like of shape (n2,), optional
+        The source point of each target point, as far as it is known: of surfaces that are aligned
+        or tracked, the nearest one. Nothing else is searched for; it is refined.
     mirrored : bool, optional
         Whether maps turn the surface over. Both are tried without it, and those that do not are
         preferred, unless a mirrored one is 3 times better: as a mirrored copy is, but not one
@@ -111,13 +119,13 @@ def match(
     ------
     InvalidInputError
         If a spectrum has fewer than 30 modes, no constant mode or several components, `k` is below
-        30, `mirrored` or `precise` is given without both geometries, or landmarks are empty,
-        unpaired or out of range.
+        30, `mirrored` or `precise` is given without both geometries, landmarks are empty, unpaired
+        or out of range, or `initial` is no map of all target points to source points.
 
     Warns
     -----
     DoubtfulMatchWarning
-        If the map is not `Match.convincing`.
+        If the map is not `Match.convincing`, or does not keep the landmarks.
 
     Examples
     --------
@@ -156,15 +164,28 @@ def match(
             advice="pass source_geometry and target_geometry",
         )
     ways = (False, True) if mirrored is None and seen else (bool(mirrored),)
-    pairs = None if landmarks is None else _matched_on(landmarks, a, b)
+    known = None if landmarks is None else check_landmarks(landmarks, a.whole.n, b.whole.n)
+    if initial is not None:
+        initial = check_point_map("initial", initial, a.whole.n, b.whole.n)
     fewer = min(a.spectrum.k, b.spectrum.k)
     a, b = a.truncate(fewer), b.truncate(fewer)
+    pairs = None if known is None else _matched_on(known, a, b)
     with single_threaded_blas():  # small products: the threads are ours
         search = Search(a, b, pairs, options)
-        found = in_threads(search.candidates, ((way,) for way in ways))
+        if initial is None:
+            found = in_threads(search.candidates, ((way,) for way in ways))
+        else:
+            found = [[search.known(on_matched(a, b, initial), mirrored)]]
         if len(found) == 2 and found[1][0].score * options.mirrored_by < found[0][0].score:
             found.reverse()
-        return matched_from(a, b, found, k=k, elastic=elastic, options=options, precise=precise)
+        return matched_from(
+            *(a, b, found),
+            k=k,
+            elastic=elastic,
+            options=options,
+            precise=precise,
+            landmarks=known,
+        )
 
 
 def matched_from(
@@ -176,12 +197,19 @@ def matched_from(
     elastic: bool,
     options: MatchOptions,
     precise: bool = False,
+    landmarks: Pairs | None = None,
 ) -> Match:
     """Refine one of the first candidates found, those of either orientation; the best first."""
     k = min(k, a.spectrum.k, b.spectrum.k)
+    wholes = None if a.surface is None or b.surface is None else (all_placed(a), all_placed(b))
+    apart, lost_from = None, np.inf
     with single_threaded_blas():
         chosen = _settled(a, b, found[0], options)
-        point_map, functional_map, on_faces = _refined(a, b, chosen, k, elastic, options, precise)
+        point_map, on_faces = _refined(a, b, chosen, k, elastic, options, precise)
+        if landmarks is not None and wholes is not None:
+            apart, lost_from = left_by(wholes[0], point_map, landmarks)
+            point_map, on_faces = kept(point_map, on_faces, landmarks, apart <= lost_from)
+        functional_map = functional_map_from_point_map(a.whole, b.whole, point_map, k=k)
     matched = on_matched(a, b, point_map)
     seen = None if a.surface is None or b.surface is None else (a.surface, b.surface)
     opposite = [c.score for c in found[-1]] if len(found) == 2 else []
@@ -202,17 +230,43 @@ def matched_from(
         candidates=(chosen, *others),
         precise=on_faces,
         options=options,
+        clustered=max(clustered(side.spectrum.eigenvalues) for side in (a, b)),
+        **({} if wholes is None else compared(*wholes)),
+        landmark_distances=apart,
+        lost_from=lost_from,
     )
-    if not result.convincing:
-        warn(
-            f"no convincing map: its confidence is {result.confidence:.2f}; what speaks against it:"
-            f" {', '.join(result.doubts) or 'nothing alone'}",
-            DoubtfulMatchWarning,
-            advice="the surfaces may not correspond; look at the map, give {}, or try another"
-            " {} (150 match best)",
-            remedies=("landmarks", "k"),
-        )
+    told_of(result)
     return result
+
+
+def told_of(found: Match) -> None:
+    """Warn of a match that does not convince, or keep its landmarks."""
+    held = found.landmarks_held
+    lost = ""
+    if held is not None and not held.all():
+        assert found.landmark_distances is not None
+        lost = (
+            f"{(~held).sum()} of {quantity(len(held), 'landmark')} are lost: the map leads"
+            f" {found.landmark_distances.max():.2g} times the root of the area away from them (at"
+            f" most {found.lost_from:.2g} is exact enough)"
+        )
+    if found.convincing and not lost:
+        return
+    doubts = [doubt for doubt in found.doubts if not (lost and doubt == "landmark_distances")]
+    against = "; ".join(filter(None, (", ".join(doubts), lost))) or "nothing alone"
+    convincing = "a map in doubt" if found.convincing else "no convincing map"
+    told = f"{convincing}: its confidence is {found.confidence:.2f}; what speaks against it: "
+    if lost:
+        advice = "look at these landmarks: they may contradict each other, or be exchanged"
+        warn(told + against, DoubtfulMatchWarning, advice=advice)
+        return
+    warn(
+        told + against,
+        DoubtfulMatchWarning,
+        advice="the surfaces may not correspond; look at the map, give {}, or try another"
+        " {} (150 match best)",
+        remedies=("landmarks", "k"),
+    )
 
 
 def _settled(
@@ -257,9 +311,9 @@ def _distinct(candidates: Iterable[Candidate], apart: float) -> list[Candidate]:
     return kept
 
 
-def _matched_on(landmarks: Landmarks, a: Prepared, b: Prepared) -> Pairs:
-    """Return checked landmarks, or on dense surfaces the points that stand for them."""
-    one, other = check_landmarks(landmarks, a.whole.n, b.whole.n)
+def _matched_on(landmarks: Pairs, a: Prepared, b: Prepared) -> Pairs:
+    """Return landmarks, or on dense surfaces the points that stand for them."""
+    one, other = landmarks
     if a.dense is not None:
         one = a.dense.closest[one]
     if b.dense is not None:
@@ -275,8 +329,8 @@ def _refined(
     elastic: bool,
     options: MatchOptions,
     precise: bool = False,
-) -> tuple[Ints, Floats, sparse.csr_array | None]:
-    """Return the maps of all points that a candidate is refined to: see `Match`."""
+) -> tuple[Ints, sparse.csr_array | None]:
+    """Return the map of all points that a candidate is refined to, and the one into triangles."""
     start = _sharpened(a, b, chosen.functional_map[:k, :k])
     if not elastic or a.surface is None or b.surface is None:
         point_map, here, there = by_modes(a, b, _zoomed(a, b, start, k)[0])
@@ -286,7 +340,7 @@ def _refined(
         point_map, here, there = by_bending(a, b, way_there, mirrored=mirrored, options=options)
     faces = all_placed(a).oriented.faces if precise else None
     on_faces = None if faces is None else into_triangles(there, here, faces, point_map)
-    return point_map, functional_map_from_point_map(a.whole, b.whole, point_map, k=k), on_faces
+    return point_map, on_faces
 
 
 def _sharpened(a: Prepared, b: Prepared, functional_map: Floats) -> Floats:
@@ -335,7 +389,7 @@ class Search:
         self, a: Prepared, b: Prepared, landmarks: Pairs | None, options: MatchOptions
     ) -> None:
         self._a, self._b, self._landmarks, self._options = a, b, landmarks, options
-        self._fit = None if landmarks is None else self._fitted(landmarks)
+        self._fits = [] if landmarks is None else self._fitted(landmarks)
 
     def candidates(self, mirrored: bool) -> list[Candidate]:
         """Return the refined candidates that mirror, or those that do not; the best first."""
@@ -349,9 +403,7 @@ class Search:
                 for C in placed_candidates(*sides, options.turns)
             )
             maps += [c.functional_map for c in _distinct(placed, _SAME)[: options.placed]]
-        fit = self._fit
-        if fit is not None and ((orientation_of(a, b, fit) or 1.0) < 0) == mirrored:
-            maps.append(fit)
+        maps += [fit for fit in self._fits if self._mirrors(fit) == mirrored]
         rough = (self._scored(C, mirrored, rough=True) for C in maps)
         grown = _distinct(rough, _SAME)
         starts = [c.functional_map for c in grown[: options.finalists]]
@@ -372,20 +424,37 @@ class Search:
         maps_, _ = zoomout_many(rows1, rows2, np.stack(starts), k_final=k, step=6)
         return _distinct((self._scored(C, mirrored) for C in maps_), _SAME)
 
-    def _fitted(self, landmarks: Pairs) -> Floats:
-        """Return the functional map that fits the landmarks and what is seen from them."""
-        count = _LANDMARK_ENERGIES
+    def known(self, point_map: Ints, mirrored: bool | None) -> Candidate:
+        """Return what a map of all points comes to in the refined modes; unrefined."""
+        a, b = self._a.spectrum, self._b.spectrum
+        C = functional_map_from_point_map(a, b, point_map, k=min(REFINED_K, a.k, b.k))
+        return self._scored(C, self._mirrors(C) if mirrored is None else mirrored)
+
+    def _mirrors(self, C: Floats) -> bool:
+        return (orientation_of(self._a, self._b, C) or 1.0) < 0
+
+    def _fitted(self, landmarks: Pairs) -> list[Floats]:
+        """Return functional maps that fit the landmarks: by what is seen from them, and how far."""
+        count, every = _LANDMARK_ENERGIES, -(-len(landmarks[0]) // _SEEN_FROM)
         f, g = (
             normalize_descriptors(
                 side.spectrum,
                 np.hstack(
-                    [side.wave, landmark_wave_kernel_signature(side.spectrum, points, count=count)]
+                    [
+                        side.wave,
+                        landmark_wave_kernel_signature(side.spectrum, points[::every], count=count),
+                    ]
                 ),
             )
             for side, points in zip((self._a, self._b), landmarks, strict=True)
         )
         source, target, k = self._a.spectrum, self._b.spectrum, LOWEST_K
-        return fit_functional_map(source, target, f, g, k=k, landmarks=landmarks)
+        fits = [fit_functional_map(source, target, f, g, k=k, landmarks=landmarks)]
+        one, other = self._a.surface, self._b.surface
+        if one is not None and other is not None and len(landmarks[0]) >= ENOUGH:
+            there = located(one, other, landmarks)
+            fits.append(functional_map_from_point_map(source, target, there, k=k))
+        return fits
 
     def _scored(
         self, C: Floats, mirrored: bool, *, rough: bool = False, alignment: float | None = None

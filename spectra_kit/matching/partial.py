@@ -37,6 +37,7 @@ from spectra_kit.matching.score import (
     scored,
 )
 from spectra_kit.matching.tears import torn
+from spectra_kit.matching.topology import topology_of
 from spectra_kit.spectra import Spectrum
 
 _TRIED = 12  # regions that are matched
@@ -96,7 +97,8 @@ def match_part(
     Warns
     -----
     DoubtfulMatchWarning
-        If the map is not `Match.convincing`: the part may be none of this whole.
+        If the map is not `Match.convincing`: the part may be none of this whole, or the whole is
+        but a part itself. Two parts that overlap are not matched.
 
     See Also
     --------
@@ -145,6 +147,8 @@ def match_part(
         chosen = best.trial
         side, bent = search.finished(chosen, k)
         rivals = [end.value for end in others if search.apart(end.trial, chosen) > _ELSEWHERE]
+    assert part.surface is not None
+    assert whole.surface is not None  # of meshes
     covered = covered_by(part, whole, bent)
     around = bent.back[chosen.piece.vertices]
     made = Match(
@@ -162,10 +166,12 @@ def match_part(
         candidates=(chosen.candidate, *(t.candidate for t in trials if t is not chosen)),
         options=replace(options, convincing_score=min(_SCORE, options.convincing_score)),
         covered=covered,
+        rims=(topology_of(part.surface).rim, topology_of(whole.surface).rim),
     )
     if not made.convincing:
+        open_ = "the whole is cut off, too; " * ("rims" in made.doubts)
         warn(
-            f"no convincing part: its mismatch is {made.score:.2f} (right parts: below"
+            f"no convincing part: {open_}its mismatch is {made.score:.2f} (right parts: below"
             f" {_SCORE:g}), and it covers {made.coverage:.2f} times as much as chance would",
             DoubtfulMatchWarning,
             advice="it may be no part of this surface; look at `covered`",

@@ -92,6 +92,17 @@ def test_a_bent_and_remeshed_copy_by_landmarks(files, tmp_path, capsys):
     assert result["match"]["orientation"] > 0.5
 
 
+@pytest.mark.parametrize("known", [("--aligned",), ("--initial", "order.npy")])
+def test_what_is_aligned_is_refined(files, tmp_path, capsys, known):
+    """A renumbered copy: nothing is searched for, and the order is found."""
+    option, *name = known
+    given = (option, *(files / one for one in name))
+    pair = (files / "animal.off", files / "permuted.off", "-k", 40, "-o", tmp_path / "out")
+    result = report(capsys, *pair, *given)
+    assert result["match"]["candidates"] == 1
+    assert (np.load(tmp_path / "out" / "point_map.npy") == np.load(files / "order.npy")).all()
+
+
 def test_clouds_are_matched_and_judged_as_far_as_they_can_be(files, tmp_path, capsys):
     pair = (files / "cloud.ply", files / "cloud.ply")
     result = report(capsys, *pair, "-k", 40, "-o", tmp_path / "out")
@@ -172,6 +183,8 @@ def test_the_demo_draws_its_pictures(tmp_path, capsys, monkeypatch):
         (("margin", "mirror_margin"), "scores as well, one that mirrors scores better"),
         (("orientation", "consistent"), "whole map, it is in doubt which side of a cloud is out"),
         (("coverage", "score"), "than chance would, the surfaces look no more alike than"),
+        (("alike", "genera"), "others look as good, the surfaces have other numbers of handles"),
+        (("rims", "landmark_distances"), "where the other is, it does not lead to all landmarks"),
     ],
 )
 def test_every_doubt_is_told(doubts, why):
@@ -180,6 +193,7 @@ def test_every_doubt_is_told(doubts, why):
     assert ("does not mirror" in turned) == ("mirror_margin" in doubts)
 
 
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulMatchWarning")
 def test_an_ambiguous_match_says_why(tmp_path, capsys):
     ball = sphere(subdivisions=2).geometry
     turn = Rotation.from_rotvec([0.3, 0.5, 0.7]).as_matrix()
@@ -189,6 +203,8 @@ def test_an_ambiguous_match_says_why(tmp_path, capsys):
     result = report(capsys, *eggs, "-k", 30, "--sides", "kept", "-o", tmp_path / "out")
     assert result["match"]["ambiguous"] is True
     assert "another map scores as well" in result["match"]["doubts"]
+    assert "so round that others look as good" in result["match"]["doubts"]
+    assert result["match"]["convincing"] is False
     assert result["match"]["other_side"] is None  # not tried
 
 
@@ -230,6 +246,7 @@ def test_bad_input_is_refused_before_the_work(files, tmp_path, capsys, monkeypat
     np.save("short.npy", np.arange(7))
     np.save("beyond.npy", np.load(files / "truth.npy") + 100)
     np.savez("several.npz", a=np.arange(3))
+    np.save("unknown.npy", np.where(np.arange(600) == 7, -1, np.load(files / "truth.npy")))
     truth, landmarks = files / "truth.npy", files / "landmarks.txt"
     for options, message in (
         (("--landmarks", truth), not_two),
@@ -240,6 +257,10 @@ def test_bad_input_is_refused_before_the_work(files, tmp_path, capsys, monkeypat
         (("--truth", "several.npz"), "not a whole npy file of numbers (it begins"),
         (("--truth", truth, "--repair"), "repair or sample first"),
         (("--landmarks", landmarks, "--cloud", 700), "repair or sample first"),
+        (("--initial", truth, "--repair"), "repair or sample first"),
+        (("--initial", "unknown.npy"), "are source and target exchanged?"),
+        (("--initial", truth, "--aligned"), "--initial has no effect with --aligned; give one"),
+        (("--part", "--aligned"), "--aligned has no effect with --part; match wholes"),
         (("-o", tmp_path / "no" / "out"), "cannot make"),
         (("-o", tmp_path / "broken.npy"), "a file has that name"),
         (("--part", "--landmarks", landmarks), "--landmarks has no effect with --part; match"),

@@ -219,6 +219,16 @@ def test_unlike_surfaces_score_badly(source) -> None:
         ({"torn": None}, ()),
         ({"margin": 0.99, "options": MatchOptions(clear_margin=0.9)}, ()),
         ({"margin": 1.02}, ()),
+        ({"genera": (0, 1)}, ("genera",)),
+        ({"genera": (2, 2)}, ()),
+        ({"rims": (0.2, 0.6)}, ()),
+        ({"rims": (1.5, 0.1)}, ("rims",)),
+        ({"rims": (0.8, 0.7)}, ()),
+        ({"rims": (0.8, 0.7), "score": 0.3}, ("rims",)),
+        ({"landmark_distances": np.array([0.0, 0.1]), "lost_from": 0.2}, ()),
+        ({"landmark_distances": np.array([0.0, 0.3]), "lost_from": 0.2}, ("landmark_distances",)),
+        ({"orientation": 0.1, "coverage": 0.9}, ("orientation", "coverage")),
+        ({"score": 0.43, "coverage": 1.05}, ("coverage", "score")),
     ],
     ids=str,
 )
@@ -232,8 +242,41 @@ def test_doubts_are_facts(facts, doubts) -> None:
         point_map=np.arange(5), functional_map=np.eye(3), candidates=(candidate,),
     )  # fmt: skip
     assert found.doubts == doubts
-    assert found.convincing == (found.confidence >= 0.5)
-    assert found.ambiguous == bool(set(doubts) - {"score", "coverage", "torn"})
+    told = len({"orientation", "coverage", "torn", "genera"} & set(doubts))
+    alone = {"rims", "score"} & set(doubts)
+    assert found.convincing == (found.confidence >= 0.5 and told < 2 and not alone)
+    assert found.ambiguous == bool(
+        {"margin", "mirror_margin", "orientation", "consistent"} & set(doubts)
+    )
+
+
+@pytest.mark.parametrize(
+    ("clustered", "score", "landmarks", "shared", "alike"),
+    [
+        (2.0, 0.3, 0.0, 0.0, 1),
+        (1.0, 0.3, 0.0, 0.0, 0),  # no round surface
+        (2.0, 0.5, 0.0, 0.0, 0),  # the other is clearly worse
+        (2.0, 0.3, 0.9, 0.0, 0),  # or leaves the landmarks
+        (2.0, 0.3, 0.0, 0.9, 0),  # or is nearly the same
+    ],
+)
+def test_maps_of_round_surfaces_share_the_confidence(
+    clustered, score, landmarks, shared, alike
+) -> None:
+    turned = shared * np.eye(4) + (1 - shared) * np.eye(4)[::-1]
+    one, other = (
+        Candidate(functional_map=C, score=s, mismatches={"landmarks": m}, mirrored=False)
+        for C, s, m in ((np.eye(4), 0.2, 0.01), (turned, score, landmarks))
+    )
+    facts = {"margin": 1.5, "mirror_margin": 2.0, "orientation": 0.9, "mirrored": False}
+    found = Match(
+        **facts, consistent=1.0, coverage=1.5, torn=0.0, clustered=clustered,
+        point_map=np.arange(5), functional_map=np.eye(4), candidates=(one, other),
+    )  # fmt: skip
+    alone = confidence_of(score=0.2, torn=0.0, margin=1.5, coverage=1.5)
+    assert found.alike == alike
+    assert found.confidence == alone / (1 + alike)
+    assert (found.ambiguous, found.convincing) == (alike > 0, alike == 0)
 
 
 def test_confidence_falls_with_all_that_speaks_against_a_map() -> None:
@@ -242,6 +285,7 @@ def test_confidence_falls_with_all_that_speaks_against_a_map() -> None:
     bad = {"score": 0.6, "torn": 0.08, "margin": 1.0, "coverage": 1.0}
     best, worst = confidence_of(**good), confidence_of(**bad)
     assert 0 <= worst < 0.5 < best <= 1
+    assert confidence_of(**good, against=1) < best
     for name, value in bad.items():
         assert worst < confidence_of(**{**good, name: value}) < best
     sure = confidence_of(**{**good, "margin": np.inf})

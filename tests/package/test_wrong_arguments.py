@@ -291,6 +291,8 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("candidates", (candidate,)),
         ("MatchedPair.errors plot_correspondence.errors", map_errors),
         ("score_of.values", {"wave": 0.1}),
+        ("match.initial", same),
+        ("Match.landmark_distances", np.ones(2)),
         ("match.landmarks fit_functional_map.landmarks", ([0, 1], [0, 1])),
         ("mismatches.landmarks", (np.array([0, 1]), np.array([0, 1]))),
         ("Collection.shapes match_collection.shapes", two),
