@@ -17,13 +17,13 @@ from safetensors.torch import save
 
 from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path
+from spectra_kit._fingerprint import BLANK, has_seal, sealed
 from spectra_kit.errors import InvalidInputError, WeightsError
 from spectra_kit.linalg.torch_device import check_device, check_float_dtype
 from spectra_kit.neo.backbones import build_network
 from spectra_kit.neo.model import NeoConfig, NeoNetwork
 
 _KEY = "spectra_kit.neo"  # the only one of the metadata: a file with two would differ every time
-_BLANK = b"0" * 64  # where the digest of the file goes, while it is computed
 
 #: Shipped weights: name -> (file in neo/weights, sha256 of the file).
 WEIGHTS: dict[str, tuple[str, str]] = {
@@ -127,16 +127,9 @@ def _unpacked(path: Path, data: bytes) -> tuple[NeoConfig, dict[str, Any], dict[
         config, record = NeoConfig(**content.pop("config")), content.pop("record")
     except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise WeightsError(f"{path} has unreadable metadata ({error!r})") from error
-    if content or (
-        seal is not None and _sealed(data.replace(str(seal).encode(), _BLANK, 1)) != data
-    ):
+    if content or (seal is not None and not has_seal(data, seal)):
         raise WeightsError(f"{path} is not what `save_weights` wrote; it was changed or damaged")
     return config, record, tensors
-
-
-def _sealed(data: bytes) -> bytes:
-    """Return the content of a file with its digest in place of the blank: the format has none."""
-    return data.replace(_BLANK, hashlib.sha256(data).hexdigest().encode(), 1)
 
 
 @checked
@@ -172,16 +165,14 @@ def save_weights(
     """
     check_float_dtype(dtype)
     try:
-        content = json.dumps(
-            {"sha256": _BLANK.decode(), "config": asdict(network.config), "record": record}
-        )
+        content = json.dumps({"sha256": BLANK, "config": asdict(network.config), "record": record})
     except TypeError as error:
         raise InvalidInputError("record", "hold JSON values only", error) from error
     tensors = {
         name: tensor.detach().to("cpu", dtype).contiguous()
         for name, tensor in network.state_dict().items()
     }
-    data = _sealed(save(tensors, {_KEY: content}))
+    data = sealed(save(tensors, {_KEY: content}))
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
     return hashlib.sha256(data).hexdigest()
