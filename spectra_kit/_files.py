@@ -148,15 +148,16 @@ def undivided() -> Iterator[None]:
 
 @contextmanager
 def naming(path: str | os.PathLike[str], part: Path | None = None) -> Iterator[None]:
-    """Let an OSError of the block name `path`, not `part`, which nobody has heard of.
+    """Let an OSError of the block name `path`, not `part`, of which nobody has heard.
 
     Nor nothing, as one of a full disk does. One that names another file is about that.
     """
     try:
         yield
     except OSError as error:
-        if error.filename is None or part is None or os.fspath(error.filename) == str(part):
-            error.filename, error.filename2 = str(path), None
+        told = path if part is None or error.filename is None else error.filename
+        error.filename = str(told).replace(str(part or path), str(path), 1)
+        error.filename2 = None
         raise
 
 

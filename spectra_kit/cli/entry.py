@@ -10,6 +10,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from typing import Any, TextIO
 
+from spectra_kit._display import printable
 from spectra_kit._version import VERSION
 from spectra_kit.cli.help import help_text
 from spectra_kit.cli.options import refuse_unused
@@ -100,7 +101,7 @@ def _tell(error: Exception) -> int:
     elif not isinstance(error, SpectraKitError):
         code, found = _BUG, f"{type(error).__name__}: {message}"
         message = f"this is a bug of spectra_kit: {found}; please report it with what --debug shows"
-    _complain(f"error: {message}")
+    _complain(f"error: {printable(message)}")
     return code
 
 

@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from spectra_kit._display import printable
 from spectra_kit._validate import quantity
 from spectra_kit.batch import BatchReport, DaskEngine, Engine, shard
 from spectra_kit.batch.inputs import Named
@@ -67,7 +68,7 @@ def _listed(value: int | Sequence[str | Sequence[str]]) -> str:
     if isinstance(value, int):
         return f"{value:,}"
     names = (one if isinstance(one, str) else f"({', '.join(one)})" for one in value)
-    return ", ".join(names) or "none"
+    return printable(", ".join(names)) or "none"
 
 
 @contextmanager

@@ -70,7 +70,8 @@ def load_labeller(path: str | os.PathLike[str]) -> Classifier | Segmenter:
     Raises
     ------
     InvalidFileError
-        If the file is damaged, or was not written by `save_labeller`.
+        If the file is damaged, or was not written by `save_labeller`. Those of release 0.2.0 have
+        no checksum, and are read without one.
     MissingDependencyError
         Without the packages that its method needs.
 
