@@ -19,7 +19,7 @@ from spectra_kit.store import Completed
 _OF_RECORD = ("kind", "points", "faces", "area", "components", "zero_modes", "level", "shape",
               "spectrum")  # fmt: skip
 _OWN = ("name", *_OF_RECORD[:-2], "residual", "problems", "warnings", "same_as", *_OF_RECORD[-2:])
-_RUN = re.compile(r"\s*[=+\-@＝＋－＠]")  # fullwidth ones as well  # noqa: RUF001
+_RUN = re.compile(r"\s*[=+\-@\uff1d\uff0b\uff0d\uff20]")  # the last four are fullwidth
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _NUMBERED = re.compile(r"(eigenvalue|dna)_\d+")
 

@@ -451,7 +451,7 @@ def inputs(count):
         ("classifier", lambda _, t: t["labels"].add_(64), "`labels` must be in [0, 2), got"),
         ("classifier", lambda _, t: t["labels"].sub_(1), "`labels` must be in [0, 2), got -1"),
         ("classifier", lambda _, t: t.update(labels=t["labels"] * 0.5), "`labels` must hold int"),
-        ("classifier", lambda _, t: t.update(labels=t["labels"][:1]), "`labels` must be 2 integers"),
+        ("classifier", lambda _, t: t.update(labels=t["labels"][:1]), "must be 2 integers"),
         ("classifier", lambda _, t: t.pop("vectors"), "not a whole labeller"),
         ("classifier", lambda content, _: content["names"].pop(), "in [0, 1)"),
         ("index", lambda _, t: t.update(vectors=t["vectors"][:1]), "`vectors` must have 2 rows"),
