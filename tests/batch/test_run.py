@@ -216,8 +216,8 @@ def test_columns_of_a_tables_own_are_refused_before_the_work(column, scans):
 
 @pytest.mark.parametrize(
     "text",
-    ["=1+1", "+1+1", "-1+1", "@SUM(1)", "\t=1", "\r=1", "\n=1", " =1", "\uff1d1", "-", "--1", "-1.5x",
-     "=cmd|'/C calc'!A0", "+49 30 123", "-1,5"],
+    ["=1+1", "+1+1", "-1+1", "@SUM(1)", "\t=1", "\r=1", "\n=1", " =1", "\uff1d1", "-", "--1",
+     "-1.5x", "=cmd|'/C calc'!A0", "+49 30 123", "-1,5"],
 )  # fmt: skip
 def test_no_cell_is_run_by_a_spreadsheet(tmp_path, text):
     for columns, row in (([text], {text: "1"}), (["a"], {"a": text})):
