@@ -101,8 +101,8 @@ def load_pretrained(name_or_path: str | os.PathLike[str], device: str = "cpu") -
             advice="reinstall spectra_kit",
         )
     config, record, tensors = _unpacked(path, data)
+    _check_tensors(path, _announced(path, config, tensors), tensors)
     network = build_network(config)
-    _check_tensors(path, network, tensors)
     network.load_state_dict(tensors)  # into float32, whatever the precision on disk
     network.requires_grad_(False).eval().to(place)
     return Pretrained(network, config, os.fspath(name_or_path), digest, record)
@@ -234,8 +234,30 @@ def _sha256_of(path: Path, _changed: int, _size: int) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _check_tensors(path: Path, network: NeoNetwork, tensors: dict[str, torch.Tensor]) -> None:
-    ours = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
+def _announced(
+    path: Path, config: NeoConfig, tensors: dict[str, torch.Tensor]
+) -> dict[str, torch.Tensor]:
+    """Return sizes of the tensors of a configuration, before anything as large is built.
+
+    Each block has a tensor, or more, and each wave a row of one. On the device ``meta`` tensors are
+    sizes alone.
+    """
+    longest = max((size for tensor in tensors.values() for size in tensor.shape), default=0)
+    try:
+        if config.depth > len(tensors) or config.waves > longest:
+            raise RuntimeError("more blocks or waves than there are tensors, or rows of them")  # noqa: TRY301
+        with torch.device("meta"):
+            return build_network(config).state_dict()
+    except RuntimeError as error:
+        raise WeightsError(
+            f"{path} must hold the tensors of its configuration {config} ({error})"
+        ) from error
+
+
+def _check_tensors(
+    path: Path, announced: dict[str, torch.Tensor], tensors: dict[str, torch.Tensor]
+) -> None:
+    ours = {name: tuple(tensor.shape) for name, tensor in announced.items()}
     theirs = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
     if wrong := sorted(
         name for name in ours.keys() | theirs.keys() if ours.get(name) != theirs.get(name)
