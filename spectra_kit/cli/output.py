@@ -14,7 +14,7 @@ import numpy as np
 from spectra_kit._display import printable
 from spectra_kit._files import is_special, naming, replace, temporary_folder, undivided
 from spectra_kit.cli.options import Command
-from spectra_kit.cli.progress import say, step
+from spectra_kit.cli.progress import STDOUT, say, step
 from spectra_kit.errors import InvalidInputError
 
 
@@ -89,7 +89,7 @@ def check_folder(
 def tell(asked: Command, record: Mapping[str, object], *blocks: str) -> None:
     """Write a result to stdout: one object if that was asked for, else blocks of text."""
     text = as_json(record) if asked.json else printable("\n\n".join(blocks), lines=True) + "\n"
-    with naming("standard output"):
+    with naming(STDOUT):
         sys.stdout.write(text)
 
 
@@ -109,7 +109,7 @@ def tell_with_picture(
     drawn = None
     if not asked.json:
         tell(asked, record, *blocks)
-        with naming("standard output"):
+        with naming(STDOUT):
             sys.stdout.flush()
     try:
         if picture:

@@ -16,6 +16,7 @@ from spectra_kit._display import printable
 from spectra_kit.cli.words import told
 
 _TICK = 0.1  # seconds
+STDOUT = "standard output"  # in errors of what is printed
 _LONG = 1.0  # seconds; a step that took less leaves no line behind
 _QUIET = ContextVar("quiet", default=False)
 
