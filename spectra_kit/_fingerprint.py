@@ -61,4 +61,5 @@ def sealed(data: bytes) -> bytes:
 
 def has_seal(data: bytes, seal: object) -> bool:
     """Whether the content of a file, which names a seal, is what was `sealed` with it."""
-    return sealed(data.replace(str(seal).encode(), BLANK.encode(), 1)) == data
+    blank = data.replace(str(seal).encode(), BLANK.encode(), 1)
+    return blank != data and sealed(blank) == data

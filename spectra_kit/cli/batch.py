@@ -103,7 +103,7 @@ def store(asked: program.Store) -> None:
                 f"{asked.store}: {quantity(len(entries), 'entry')}, {spectra:,} of them spectra;"
                 f" {size / 1e6:,.1f} MB",
                 *(
-                    f"{one['spectrum']}  {one['k']:4} modes  {printable(one['name'])}"
+                    f"{one['spectrum']}  {one['k']:4} modes  {printable(str(one['name']))}"
                     for one in shapes
                 ),
                 *(printable(f"damaged: {one['path']}: {one['reason']}") for one in damaged),

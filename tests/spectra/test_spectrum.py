@@ -183,7 +183,7 @@ EDITS = [
     (in_header("version", value="2"), NOT_WHOLE),
     (in_header("version", value=99), "it has format version 99"),
     (in_header("provenance", value={}), rf"{NOT_WHOLE} \('solver'\); write it again"),
-    (in_header("provenance", "planet", value="earth"), rf"{NOT_WHOLE} .*'planet'"),
+    (in_header("provenance", "planet", value="earth"), rf"{NOT_WHOLE} .*planet"),
     (in_header("provenance", "seconds", value=None), f"{TIMES}None"),
     (in_header("provenance", "seconds", value={"a": None}), f"{TIMES}{{'a': None}}"),
     (in_header("provenance", "solver", value=[]), "`solver` must be a string, got a list"),
@@ -259,12 +259,12 @@ def test_compressed_members_are_refused_before_they_are_inflated(
 ) -> None:
     path = tmp_path / "s.npz"
     spectrum.save(path)
-    large = announcing((1 << 23,)) + bytes(1 << 26)  # 64 MiB out of some kB
+    large = announcing((1 << 20,)) + bytes(1 << 23)  # 8 MiB out of some kB
     repacked(path, f"{member}.npy", large, compress_type=method)
     tracemalloc.start()
     with pytest.raises(InvalidFileError, match=f"{member}.npy is compressed") as caught:
         Spectrum.load(path, mmap=mmap)
-    assert tracemalloc.get_traced_memory()[1] < 1 << 23
+    assert tracemalloc.get_traced_memory()[1] < 1 << 21
     tracemalloc.stop()
     assert str(caught.value).startswith(f"{path}: ")
 
