@@ -18,7 +18,8 @@ class Spared:
 
     A worker takes as long to start as this process took: its imports, and what the first task took
     more than the others. All of it comes twice: Dask is imported and started here, the workers
-    after that. They gain what is left of the cores beside the threads that are busy here already.
+    after that. They gain the cores beside the threads that are busy here already. Seconds are those
+    of processors, which other programs do not stretch.
     """
 
     engine: Engine
@@ -30,15 +31,14 @@ class Spared:
         with closing(in_this_process(todo)) as results:
             for done, (task, result) in enumerate(results, start=1):
                 yield task, result
-                wall, busy = time.perf_counter() - start, time.process_time() - imported
+                busy = time.process_time() - imported
                 if done == 1:
-                    first, first_busy = wall, busy
+                    first = busy
                     continue
-                each = (wall - first) / (done - 1)
-                threads = max(1.0, (busy - first_busy) / max(wall - first, 1e-9))
-                begun = imported + max(first - each, 0.0)
-                left = (len(todo) - done) * each
-                if left * (1 - threads / usable_cores()) > 2 * begun:
+                each = (busy - first) / (done - 1)
+                threads = max(1.0, busy / (time.perf_counter() - start))
+                left, begun = (len(todo) - done) * each, imported + max(first - each, 0.0)
+                if left * (1 / threads - 1 / usable_cores()) > 2 * begun:
                     break
             else:
                 return
