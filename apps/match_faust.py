@@ -30,7 +30,6 @@ other weights, or another version, are measured anew.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -43,6 +42,7 @@ from measure.matching.report import Matched, draw_extremes, write_report
 from measure.matching.sets import PairSet, demo_set, pair_sets, triangulated_sets
 
 from spectra_kit.errors import MissingDependencyError
+from spectra_kit.linalg.threads import usable_cores
 
 DEFAULT = next(iter(METHODS))
 _FEW = 5  # pairs in six triangulations, where no other number is asked for
@@ -77,7 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--pyfm-python", metavar="PATH", help="the Python that has pyFM, if it is another one")
     add("--geodesics", choices=("edges", "exact"), default="edges",
         help="distances along edges, or exact ones: minutes a pair (%(default)s)")  # fmt: skip
-    add("--jobs", type=int, default=os.cpu_count() or 1,
+    add("--jobs", type=int, default=usable_cores(),
         help="pairs side by side, on one thread each (%(default)s)")  # fmt: skip
     add("--no-pictures", action="store_true", help="do not draw pairs")
     return parser

@@ -15,7 +15,6 @@ command after an interruption goes on from the last epoch.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,6 +27,7 @@ from measure.learning.segmented_report import draw_extremes, write_report
 from measure.shapes import data_folder
 
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
+from spectra_kit.linalg.threads import usable_cores
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -42,7 +42,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--seeds", type=int, default=1, help="(%(default)s)")
     add("--validate", action="store_true",
         help="test on a source of the training split (or a tenth), held out")  # fmt: skip
-    add("--jobs", type=int, default=os.cpu_count() or 1, help="side by side (%(default)s)")
+    add("--jobs", type=int, default=usable_cores(), help="side by side (%(default)s)")
     add("--no-pictures", action="store_true", help="do not draw shapes")
     return parser
 

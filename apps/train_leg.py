@@ -111,6 +111,7 @@ def _train(args: argparse.Namespace, began: float) -> None:
     from legs.phase import Place, run_phase
 
     from spectra_kit.errors import InvalidInputError
+    from spectra_kit.linalg.threads import usable_cores
 
     if args.last and args.phase_minutes is None:
         raise InvalidInputError("`--last` ends the leg with this phase; give --phase-minutes too")
@@ -129,7 +130,7 @@ def _train(args: argparse.Namespace, began: float) -> None:
         scratch=args.scratch,
         packed=args.packed,
         device=device,
-        workers=args.workers or max(1, (os.cpu_count() or 2) - 1),
+        workers=args.workers or max(1, usable_cores() - 1),
         capacity=args.capacity,
     )
     if args.compile is not None:

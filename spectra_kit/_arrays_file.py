@@ -74,14 +74,22 @@ def _write_member(archive: zipfile.ZipFile, name: str, array: NDArray[Any]) -> N
 
 def _read_member(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
     """Read ``name.npy``, all its bytes: at the last one `zipfile` compares the checksum."""
-    info = archive.getinfo(f"{name}.npy")
+    info = _member(archive, name)
     with archive.open(info) as member:
         dims, _, dtype = _array_header(member)
         size = math.prod(dims) * dtype.itemsize
-        if member.tell() + size != info.file_size:
+        if not dtype.itemsize or member.tell() + size != info.file_size:
             raise ValueError(f"{info.filename} has {info.file_size} bytes for a shape of {dims}")
         member.seek(0)
         return np.asarray(np.lib.format.read_array(member, allow_pickle=False))
+
+
+def _member(archive: zipfile.ZipFile, name: str) -> zipfile.ZipInfo:
+    """Return where ``name.npy`` is. It takes as many bytes as it holds, and no more is read."""
+    info = archive.getinfo(f"{name}.npy")
+    if info.compress_type != zipfile.ZIP_STORED or info.file_size != info.compress_size:
+        raise ValueError(f"{info.filename} is compressed, which nothing here writes")
+    return info
 
 
 def _array_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
@@ -91,9 +99,7 @@ def _array_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]
 
 def _map_member(path: Path, raw: IO[bytes], archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
     """Map ``name.npy`` read-only, straight out of the archive."""
-    info = archive.getinfo(f"{name}.npy")
-    if info.compress_type != zipfile.ZIP_STORED:
-        raise InvalidFileError(path, "it is compressed and cannot be mapped; load it without mmap")
+    info = _member(archive, name)
     raw.seek(info.header_offset + 26)
     name_length, extra_length = struct.unpack("<HH", raw.read(4))
     raw.seek(info.header_offset + _LOCAL_HEADER + name_length + extra_length)

@@ -20,7 +20,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from spectra_kit.errors import InvalidFileError, InvalidInputError, SpectraKitError
+from spectra_kit.errors import (
+    InvalidFileError,
+    InvalidInputError,
+    InvalidSpectrumError,
+    SpectraKitError,
+)
 
 _ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 _LONGEST_SUFFIX = 32  # bytes; no format has a longer one, and names have room for 255
@@ -42,12 +47,11 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     suffix = target.suffix if len(os.fsencode(target.suffix)) <= _LONGEST_SUFFIX else ""
     part = folder / f".{secrets.token_hex(8)}{suffix}"
     private = through or target.exists()  # whose rights may be narrower than usual
-    with cleaned(lambda: part.unlink(missing_ok=True)):
-        with naming(path):
-            part.touch(0o600 if private else 0o666, exist_ok=False)
+    with cleaned(lambda: part.unlink(missing_ok=True)), naming(path, part):
+        part.touch(0o600 if private else 0o666, exist_ok=False)
         yield part
         if through:
-            with naming(path), part.open("rb") as source, open(path, "wb") as sink:
+            with part.open("rb") as source, open(path, "wb") as sink:
                 shutil.copyfileobj(source, sink)
             return
         with part.open("rb+") as file:
@@ -143,12 +147,17 @@ def undivided() -> Iterator[None]:
 
 
 @contextmanager
-def naming(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Let an OSError of the block name `path`, not a temporary file that nobody has heard of."""
+def naming(path: str | os.PathLike[str], part: Path | None = None) -> Iterator[None]:
+    """Let an OSError of the block name `path`, not `part`, of which nobody has heard.
+
+    Nor nothing, as one of a full disk does. One that names another file is about that.
+    """
     try:
         yield
     except OSError as error:
-        error.filename = str(path)
+        told = path if part is None or error.filename is None else error.filename
+        error.filename = str(told).replace(str(part or path), str(path), 1)
+        error.filename2 = None
         raise
 
 
@@ -173,9 +182,17 @@ _DAMAGE = (
 
 @contextmanager
 def parsing(path: str | os.PathLike[str], what: str, *, remedy: str) -> Iterator[None]:
-    """Refuse the file `path`, which the library wrote, if the block cannot take it apart."""
+    """Refuse the file `path`, which the library wrote, if the block cannot take it apart.
+
+    Nor make of it what it says: what is refused as an argument is the fault of the file here.
+    """
     try:
         yield
+    except (InvalidInputError, InvalidSpectrumError) as error:
+        if isinstance(error, InvalidFileError):
+            raise
+        problem = InvalidInputError(error.argument, error.expected, error.got, advice=remedy)
+        raise InvalidFileError(path, problem) from error
     except SpectraKitError:
         raise
     except (*_DAMAGE, OSError) as error:

@@ -1,5 +1,7 @@
 """Hashes by which results are known again: of arrays, of shapes, and of all that decides a result.
 
+And by which a file is known to be whole, where its format has none (`sealed`).
+
 Options tell all that decides a result by their `repr`, weights by a hash: so a solver, a recipe or
 an embedding is its own description.
 """
@@ -46,3 +48,18 @@ def facts_digest(facts: Mapping[str, object]) -> str:
     """Hash of what JSON can say."""
     text = json.dumps(facts, sort_keys=True)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+#: Where the sha256 of a file goes, while it is computed: the first such place in it.
+BLANK = "0" * 64
+
+
+def sealed(data: bytes) -> bytes:
+    """Return the content of a file with its sha256 in place of the blank."""
+    return data.replace(BLANK.encode(), hashlib.sha256(data).hexdigest().encode(), 1)
+
+
+def has_seal(data: bytes, seal: object) -> bool:
+    """Whether the content of a file, which names a seal, is what was `sealed` with it."""
+    blank = data.replace(str(seal).encode(), BLANK.encode(), 1)
+    return blank != data and sealed(blank) == data

@@ -17,6 +17,7 @@ from spectra_kit.errors import InvalidFileError
 # 6: `bounded`
 # and `reason`
 FORMAT_VERSION = 6
+REMEDY = "write it again with Spectrum.save"
 _ARRAYS = ("eigenvalues", "eigenvectors", "mass")
 _RESIDUALS = ("residuals", "relative_residuals")
 
@@ -70,7 +71,7 @@ def read_spectrum_file(
         path,
         "spectrum file",
         choose,
-        remedy="write it again with Spectrum.save",
+        remedy=REMEDY,
         mapped=_ARRAYS if mmap else (),
     )
     certificate = header["certificate"]

@@ -251,4 +251,4 @@ class DoubtfulMatchWarning(SpectraKitWarning):
 
 
 class DamagedEntryWarning(SpectraKitWarning):
-    """An entry of a store was damaged, and computed again."""
+    """An entry of a store is damaged, and computed again, or left out."""

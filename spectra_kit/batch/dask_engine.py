@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import pickle
 import re
@@ -16,14 +17,17 @@ from spectra_kit._checked import checked
 from spectra_kit._optional import optional
 from spectra_kit._validate import check_count, warn
 from spectra_kit.batch.run import Task, in_this_process
+from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.errors import (
     EngineLostError,
     InvalidInputError,
     SpectraKitWarning,
     WorkerError,
 )
+from spectra_kit.geometry import sphere
 from spectra_kit.linalg.memory import memory_of
-from spectra_kit.linalg.threads import single_threaded
+from spectra_kit.linalg.threads import single_threaded, usable_cores
+from spectra_kit.operators import robust_laplacian
 
 _LONG, _MOST = 0.5, 16  # seconds of work to hand out at once, and tasks
 _LOOK = 1.0  # seconds after which workers are counted again
@@ -32,12 +36,14 @@ _AHEAD = 4  # parcels handed out for each thread: none waits, the scheduler has 
 _ALLOWED_FAILURES = 10  # deaths of workers that a shape may be near by chance
 # What a task needs is known only while it runs: results are small, nothing is worth spilling, and
 # a worker that pauses for memory which its libraries keep would never go on.
+_KILL = "distributed.worker.memory.terminate"  # above this share of the limit
 _SETTINGS = {
     "distributed.scheduler.allowed-failures": _ALLOWED_FAILURES,
     "distributed.scheduler.worker-ttl": None,
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
+    _KILL: math.inf,  # until it is known what an idle worker takes
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "1s",
     "distributed.nanny.pre-spawn-environ": dict.fromkeys(
@@ -61,17 +67,19 @@ class DaskEngine:
     scheduler_file : path, optional
         A file in which a scheduler has written its address.
     nworkers : int, optional
-        Processes to start here, without a scheduler; by default one for each core.
+        Processes to start here, without a scheduler; by default one for each core that this process
+        may use, or for as many as each has threads.
     nthreads : int, default 1
         Shapes that each of them works on at a time.
     memory_limit : str, default "auto"
         What each of them may hold, as ``"3GB"``: it is killed and started again before it has more.
-        By default its share of the machine.
+        By default its share of the memory there is.
 
     Raises
     ------
     InvalidInputError
-        If there are workers to start, and a scheduler that has its own.
+        If there are workers to start, and a scheduler that has its own; or (when called) if each
+        may hold less than one takes that has nothing to do yet.
     MissingDependencyError
         (when called) if Dask is not installed.
     EngineLostError
@@ -134,20 +142,31 @@ class DaskEngine:
             with client:
                 yield client
             return
+        share = dask.config.get(_KILL)
         with (
             dask.config.set(_SETTINGS),
             self._local(distributed) as cluster,
             distributed.Client(cluster) as client,
         ):
-            yield client
+            keepers = [nanny.memory_manager for nanny in cluster.workers.values()]
+            if share and (limit := keepers[0].memory_limit):
+                _check_room(client, limit, share)
+                for keeper in keepers:
+                    keeper.memory_terminate_fraction = share
+            with dask.config.set({_KILL: share}):
+                yield client
 
     def _local(self, distributed: Any) -> Any:
         """Start the workers of this machine."""
+        count = self.nworkers or max(1, usable_cores() // self.nthreads)
+        limit: str | int = self.memory_limit
+        if limit == "auto":
+            limit = distributed.system.MEMORY_LIMIT // count
         try:
             return distributed.LocalCluster(
-                n_workers=self.nworkers or os.cpu_count(),
+                n_workers=count,
                 threads_per_worker=self.nthreads,
-                memory_limit=self.memory_limit,
+                memory_limit=limit,
                 processes=True,
                 dashboard_address="127.0.0.1:0",
                 silence_logs="CRITICAL",
@@ -158,6 +177,27 @@ class DaskEngine:
                 f"no workers could be started: {error}",
                 advice="a script that starts some must do so under `if __name__ == '__main__':`",
             ) from error
+
+
+def _check_room(client: Any, limit: int, share: float) -> None:
+    """Refuse workers that would be killed before they have done anything, for ever."""
+    idle = max(client.run(_idle).values())
+    if idle > share * limit:
+        raise InvalidInputError(
+            "memory_limit",
+            f"be more than a worker takes before it has a shape, {idle / share / 1e6:.0f} MB",
+            f"{limit / 1e6:.0f} MB",
+            advice=("raise {}", "lower {}"),
+            remedies=("memory_limit", "nworkers"),
+        )
+
+
+def _idle() -> int:
+    """Import, in a worker, what all work needs, and return the bytes that it takes then."""
+    psutil: Any = optional("psutil", extra="batch", needed_by="a run with workers")
+    with single_threaded():
+        eigensolve(robust_laplacian(sphere(subdivisions=2).geometry), 4)
+    return int(psutil.Process().memory_info().rss)
 
 
 @contextmanager

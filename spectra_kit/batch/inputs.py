@@ -78,7 +78,8 @@ def find_inputs(sources: Sequence[str | os.PathLike[str]]) -> list[Input]:
         Files of any format that `geometry.read` knows; patterns with ``*``, ``?``, ``[]`` and
         ``**``; folders, of which all such files are taken, those of folders inside, too; and
         manifests: CSV files whose column ``file`` names files, relative to the manifest. A column
-        ``name`` names them otherwise, further ones are handed on to the table.
+        ``name`` names them otherwise, further ones are handed on to the table. Links to folders are
+        followed; one to nothing is a file that cannot be read.
 
     Returns
     -------
@@ -91,7 +92,8 @@ def find_inputs(sources: Sequence[str | os.PathLike[str]]) -> list[Input]:
     InvalidInputError
         If a source names nothing, or two files have one name.
     InvalidFileError
-        If a manifest is not there, or has no column ``file``, or an empty cell in it.
+        If a manifest is not there, or has no column ``file``, or an empty cell in it; or if two of
+        its columns have one name, or one has none.
 
     Examples
     --------
@@ -165,9 +167,7 @@ def _inputs_of(source: str) -> Iterator[Input]:
     if path.suffix.lower() == ".csv":
         yield from _listed(path)
     elif path.is_dir():
-        stores = {mark.parent for mark in path.rglob(MARK)}  # what they hold is not for reading
-        inside = (one for one in path.rglob("*") if not stores.intersection(one.parents))
-        yield from _some(source, _readable(inside), "hold meshes or clouds")
+        yield from _some(source, _readable(_inside(path)), "hold meshes or clouds")
     elif any(sign in source for sign in _PATTERN) and not path.exists():
         matches = map(Path, glob.glob(source, recursive=True))
         yield from _some(source, _readable(matches), "match meshes or clouds")
@@ -175,8 +175,25 @@ def _inputs_of(source: str) -> Iterator[Input]:
         yield Input(name=path.as_posix(), path=path)  # to read it will tell what is wrong with it
 
 
+def _inside(folder: Path, above: frozenset[tuple[int, int]] = frozenset()) -> Iterator[Path]:
+    """Yield what is in a folder and those inside, linked ones too, but for stores.
+
+    A link to one of the folders `above` leads nowhere else.
+    """
+    state = folder.stat()
+    one = (state.st_dev, state.st_ino)
+    if one in above or (folder / MARK).exists():  # what a store holds is not for reading
+        return
+    for path in folder.iterdir():
+        if path.is_dir():
+            yield from _inside(path, above | {one})
+        else:
+            yield path
+
+
 def _readable(paths: Iterable[Path]) -> list[Path]:
-    return sorted(path for path in paths if is_readable(path) and path.is_file())
+    """Geometries, and links to nothing that are named as such: these fail, and are told."""
+    return sorted(p for p in paths if is_readable(p) and (p.is_file() or not p.exists()))
 
 
 def _some(source: str, paths: Sequence[Path], expected: str) -> Iterator[Input]:
@@ -202,9 +219,15 @@ def rows_of(path: Path, what: str, needed: Sequence[str]) -> Iterator[dict[str, 
         raise InvalidFileError(path, "there is no such file")
     with path.open(newline="", encoding="utf-8-sig") as file:  # as spreadsheets write it
         try:
-            rows = list(csv.DictReader(file, strict=True))
+            table = csv.DictReader(file, strict=True)
+            rows, header = list(table), [name.strip() for name in table.fieldnames or ()]
         except (csv.Error, UnicodeDecodeError) as error:
             raise InvalidFileError(path, f"not a table of commas in UTF-8 ({error})") from error
+    if rows and not (all(header) and len(set(header)) == len(header)):
+        problem = InvalidInputError(
+            what, "name each column, and otherwise than the others", ", ".join(map(repr, header))
+        )
+        raise InvalidFileError(path, problem)
     names = " and ".join(map(repr, needed))
     if not rows or not set(needed) <= set(rows[0]):
         columns = ", ".join(map(str, rows[0])) if rows else "no row"

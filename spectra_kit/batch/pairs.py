@@ -44,8 +44,8 @@ def find_pairs(
     InvalidInputError
         If the store has fewer than two shapes, or several plans and none is given.
     InvalidFileError
-        If the file is not there, or has no such columns, or an empty cell in them; or a record of
-        the store is damaged.
+        If the file is not there, or has no such columns, or an empty cell in them; or two columns
+        of one name, or one of none.
 
     Examples
     --------

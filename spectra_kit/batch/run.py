@@ -278,7 +278,9 @@ def work(
     return [found[i] for i in range(len(tasks))]
 
 
-def in_this_process(tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | BaseException]]:
+def in_this_process(
+    tasks: Iterable[Task],
+) -> Generator[tuple[Task, Any | BaseException], None, None]:
     """Do one task after the other, here."""
     todo = list(tasks)
     begin = getattr(todo[0], "begin", None) if todo else None

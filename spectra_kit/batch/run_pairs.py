@@ -90,8 +90,6 @@ def match_all(
     InvalidInputError
         If the store has no spectra, or those of several plans and none is given; if a pair is named
         twice.
-    InvalidFileError
-        If a record of the store is damaged.
     StoreError
         If the store cannot be written: no other map could be kept either.
     SpectraKitError

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from spectra_kit._checked import checked
+from spectra_kit._display import printable
 from spectra_kit._files import atomic_path
 from spectra_kit.batch.inputs import Input, Named, Pair
 from spectra_kit.batch.run import BatchReport
@@ -18,6 +19,8 @@ from spectra_kit.store import Completed
 _OF_RECORD = ("kind", "points", "faces", "area", "components", "zero_modes", "level", "shape",
               "spectrum")  # fmt: skip
 _OWN = ("name", *_OF_RECORD[:-2], "residual", "problems", "warnings", "same_as", *_OF_RECORD[-2:])
+_RUN = re.compile(r"\s*[=+\-@\uff1d\uff0b\uff0d\uff20]")  # the last four are fullwidth
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _NUMBERED = re.compile(r"(eigenvalue|dna)_\d+")
 
 
@@ -107,9 +110,15 @@ def write(
         atomic_path(path) as part,
         part.open("w", newline="", encoding="utf-8", errors="surrogateescape") as file,
     ):
-        writer = csv.DictWriter(file, columns)
-        writer.writeheader()
-        writer.writerows(rows)
+        writer = csv.writer(file)
+        writer.writerow(map(_cell, columns))
+        writer.writerows([_cell(row[name]) for name in columns] for row in rows)
+
+
+def _cell(value: object) -> object:
+    """Return a value as nothing that a spreadsheet would run: texts that it would, quoted."""
+    text = printable(value, lines=True) if isinstance(value, str) else ""
+    return f"'{text}" if _RUN.match(text) and not _NUMBER.fullmatch(text) else text or value
 
 
 def _row(one: Input, done: Completed, first: str) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import get_args
 
+from spectra_kit._display import printable
 from spectra_kit._validate import quantity
 from spectra_kit.batch import compute_all, find_inputs, write_table
 from spectra_kit.batch.table import check_columns
@@ -28,7 +29,7 @@ def batch(asked: program.Batch) -> None:
         raise InvalidInputError("--descriptors", f"be among {', '.join(known)}", ", ".join(odd))
     inputs = part_of(asked, find_inputs(asked.paths))
     if asked.csv:
-        check_output(asked.csv, [".csv"], [one.path for one in inputs])
+        check_output(asked.csv, [".csv"], [*map(Path, asked.paths), *(one.path for one in inputs)])
         check_columns(inputs)
     plan = Plan(
         k=asked.k,
@@ -101,8 +102,11 @@ def store(asked: program.Store) -> None:
             [
                 f"{asked.store}: {quantity(len(entries), 'entry')}, {spectra:,} of them spectra;"
                 f" {size / 1e6:,.1f} MB",
-                *(f"{one['spectrum']}  {one['k']:4} modes  {one['name']}" for one in shapes),
-                *(f"damaged: {one['path']}: {one['reason']}" for one in damaged),
+                *(
+                    f"{one['spectrum']}  {one['k']:4} modes  {printable(str(one['name']))}"
+                    for one in shapes
+                ),
+                *(printable(f"damaged: {one['path']}: {one['reason']}") for one in damaged),
                 *(f"removed: {path}" for path in removed),
             ]
         ),

@@ -10,11 +10,13 @@ import traceback
 from collections.abc import Callable, Sequence
 from typing import Any, TextIO
 
+from spectra_kit._display import printable
+from spectra_kit._files import naming
 from spectra_kit._version import VERSION
 from spectra_kit.cli.help import help_text
 from spectra_kit.cli.options import refuse_unused
 from spectra_kit.cli.program import NAMED, UsageError, parse
-from spectra_kit.cli.progress import telling
+from spectra_kit.cli.progress import STDOUT, telling
 from spectra_kit.cli.words import told
 from spectra_kit.errors import (
     ConvergenceError,
@@ -52,11 +54,12 @@ def main(argv: Sequence[str] | None = None, *, ready: Callable[[], object] = lam
         _prepare_streams()
         argv = sys.argv[1:]
     asked: Any = None
+    text = ""
     try:
         if argv[:1] == ["--version"]:
-            sys.stdout.write(f"spectra_kit {VERSION}\n")
+            text = f"spectra_kit {VERSION}\n"
         elif {"-h", "--help"}.intersection(argv):  # found here, it costs no console
-            sys.stdout.write(help_text(NAMED.get(argv[0])))
+            text = help_text(NAMED.get(argv[0]))
         else:
             asked = parse(argv)
             command = asked.load()
@@ -64,16 +67,18 @@ def main(argv: Sequence[str] | None = None, *, ready: Callable[[], object] = lam
             with telling(quiet=asked.quiet):
                 refuse_unused(asked)
                 command(asked)
-        sys.stdout.flush()
+        with naming(STDOUT):
+            sys.stdout.write(text)
+            sys.stdout.flush()
     except KeyboardInterrupt:
         _complain("interrupted")
         return _INTERRUPTED
     except Exception as error:  # noqa: BLE001  # a person reads this: a line, not a traceback
-        if isinstance(error, BrokenPipeError) and error.filename is None:
+        if isinstance(error, BrokenPipeError) and error.filename in (None, STDOUT):
             _drop(sys.stdout)  # its reader, such as `head`, has seen enough
             return 0
         if asked is not None and asked.debug:
-            traceback.print_exc()
+            sys.stderr.write(printable(traceback.format_exc(), lines=True))
         return _tell(error)
     return 0
 
@@ -100,7 +105,7 @@ def _tell(error: Exception) -> int:
     elif not isinstance(error, SpectraKitError):
         code, found = _BUG, f"{type(error).__name__}: {message}"
         message = f"this is a bug of spectra_kit: {found}; please report it with what --debug shows"
-    _complain(f"error: {message}")
+    _complain(f"error: {printable(message)}")
     return code
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from spectra_kit._display import printable
 from spectra_kit._validate import check_count
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.inputs import load
@@ -73,7 +74,7 @@ def similar(asked: program.Similar) -> None:
         "left_out": dict(index.failures),
         "neighbours": [near._asdict() for near in found],
     }
-    lines = "\n".join(f"{near.distance:8.3f}  {near.name}" for near in found)
+    lines = "\n".join(f"{near.distance:8.3f}  {printable(near.name)}" for near in found)
 
     def draw(path: Path) -> None:
         from spectra_kit.viz import Page, Portrait, View, plot_portraits
@@ -120,9 +121,16 @@ def label(asked: program.Label) -> None:
         record |= {"label": told.label, "name": told.name}
         record["scores"] = dict(zip(labeller.names, told.scores.tolist(), strict=True))
         best = sorted(zip(told.scores, labeller.names, strict=True), reverse=True)[:5]
-        lines = "\n".join(f"{100 * score:6.1f} %  {name}" for score, name in best if score > 0)
+        lines = "\n".join(
+            f"{100 * score:6.1f} %  {printable(name)}" for score, name in best if score > 0
+        )
         tell_with_picture(
-            asked, record, f"{asked.file}: {told.name}", lines, picture=None, draw=_nothing
+            asked,
+            record,
+            f"{asked.file}: {printable(told.name)}",
+            lines,
+            picture=None,
+            draw=_nothing,
         )
         return
     with step("looking at its points"):
@@ -146,7 +154,8 @@ def label(asked: program.Label) -> None:
         plot_portraits(path, [portrait], view=view, page=page)
 
     lines = "\n".join(
-        f"{100 * share:6.1f} %  {name}" for name, share in zip(found.names, shares, strict=True)
+        f"{100 * share:6.1f} %  {printable(name)}"
+        for name, share in zip(found.names, shares, strict=True)
     )
     unit = "points" if isinstance(shape, PointCloud) else "area"
     tell_with_picture(

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from spectra_kit._display import printable
 from spectra_kit._files import is_special, naming, replace, temporary_folder, undivided
 from spectra_kit.cli.options import Command
-from spectra_kit.cli.progress import say, step
+from spectra_kit.cli.progress import STDOUT, say, step
 from spectra_kit.errors import InvalidInputError
 
 
@@ -34,10 +35,15 @@ def check_output(path: Path, suffixes: Sequence[str], inputs: Iterable[Path]) ->
         raise InvalidInputError(
             f"{cannot}: {what} is not yours to write to", advice="name another place"
         )
-    if path.resolve() in {file.resolve() for file in inputs}:
+    if _is_among(path, inputs):
         raise InvalidInputError(
             "output", "not replace an input", f"{str(path)!r} as both", advice="name another file"
         )
+
+
+def _is_among(path: Path, inputs: Iterable[Path]) -> bool:
+    """Whether a file is one of the inputs, whatever its name: through links of either kind."""
+    return path.exists() and any(file.exists() and path.samefile(file) for file in inputs)
 
 
 def check_folder(
@@ -62,16 +68,16 @@ def check_folder(
             f"a pipe or a device as {', '.join(odd)}",
             advice=elsewhere,
         )
-    read = {path.resolve() for path in inputs}
+    inputs = list(inputs)
     there = [name for name in known if (folder / name).exists()]
-    if taken := [name for name in files if (folder / name).resolve() in read]:
+    if taken := [name for name in files if _is_among(folder / name, inputs)]:
         raise InvalidInputError(
             "output",
             "not replace an input",
             f"{', '.join(taken)} in {str(folder)!r} as one",
             advice=elsewhere,
         )
-    if left := [n for n in there if n not in files and (folder / n).resolve() not in read]:
+    if left := [n for n in there if n not in files and not _is_among(folder / n, inputs)]:
         raise InvalidInputError(
             str(folder),
             "hold no other result",
@@ -82,7 +88,9 @@ def check_folder(
 
 def tell(asked: Command, record: Mapping[str, object], *blocks: str) -> None:
     """Write a result to stdout: one object if that was asked for, else blocks of text."""
-    sys.stdout.write(as_json(record) if asked.json else "\n\n".join(blocks) + "\n")
+    text = as_json(record) if asked.json else printable("\n\n".join(blocks), lines=True) + "\n"
+    with naming(STDOUT):
+        sys.stdout.write(text)
 
 
 def tell_with_picture(
@@ -101,7 +109,8 @@ def tell_with_picture(
     drawn = None
     if not asked.json:
         tell(asked, record, *blocks)
-        sys.stdout.flush()
+        with naming(STDOUT):
+            sys.stdout.flush()
     try:
         if picture:
             with drawing([picture], kept=kept):
@@ -111,7 +120,7 @@ def tell_with_picture(
         if asked.json:
             tell(asked, {**record, "picture": drawn})
     if drawn and not asked.json:
-        sys.stdout.write(f"\npicture: {drawn}\n")
+        sys.stdout.write(f"\npicture: {printable(drawn)}\n")
 
 
 def as_json(record: Mapping[str, object]) -> str:
@@ -188,7 +197,8 @@ def together(folder: Path, *, report: str, replacing: Iterable[str]) -> Iterator
     with ExitStack() as stack:
         with naming(folder):
             part = stack.enter_context(temporary_folder(beside))
-        yield part
+        with naming(folder, part):
+            yield part
         done = sorted(part.iterdir(), key=lambda path: path.name == report)
         with undivided():
             folder.mkdir(exist_ok=True)

@@ -366,7 +366,8 @@ class Workers(options.Command):
     }
 
     nworkers: int | None = None
-    """processes on this machine, 0 for none but this one (default: one for each core)"""
+    """processes on this machine, 0 for none but this one (default: one for each core that may
+    be used, once that is worth their start)"""
     nthreads: int = 1
     """shapes or pairs that each works on at a time"""
     memory_limit: Annotated[str, Parameter(metavar="SIZE")] = "auto"

@@ -12,9 +12,11 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from typing import Any
 
+from spectra_kit._display import printable
 from spectra_kit.cli.words import told
 
 _TICK = 0.1  # seconds
+STDOUT = "standard output"  # in errors of what is printed
 _LONG = 1.0  # seconds; a step that took less leaves no line behind
 _QUIET = ContextVar("quiet", default=False)
 
@@ -63,6 +65,7 @@ def _line(text: str, **options: Any) -> Iterator[Any]:
     """A line of the terminal, cleared before anything is said of an error or of the end."""
     from tqdm import tqdm
 
+    text = printable(text)
     if _QUIET.get() or not sys.stderr.isatty():
         yield tqdm(disable=True)
         return
@@ -90,4 +93,4 @@ def say(text: str) -> None:
     from tqdm import tqdm
 
     with suppress(OSError):
-        tqdm.write(text, file=sys.stderr)
+        tqdm.write(printable(text), file=sys.stderr)

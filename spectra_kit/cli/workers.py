@@ -9,9 +9,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from spectra_kit._display import printable
 from spectra_kit._validate import quantity
 from spectra_kit.batch import BatchReport, DaskEngine, Engine, shard
 from spectra_kit.batch.inputs import Named
+from spectra_kit.batch.spared import Spared
 from spectra_kit.cli import program
 from spectra_kit.cli.options import refuse_given
 from spectra_kit.cli.output import tell
@@ -60,14 +62,14 @@ def engine_of(asked: program.Workers, noun: str, missing: Callable[[], int]) -> 
         if count > 1:
             say(f"one {noun} at a time; pip install 'spectra_kit[batch]' lets all cores work")
         return None
-    return engine
+    return engine if told_to or local != (None, 1, "auto") else Spared(engine)
 
 
 def _listed(value: int | Sequence[str | Sequence[str]]) -> str:
     if isinstance(value, int):
         return f"{value:,}"
     names = (one if isinstance(one, str) else f"({', '.join(one)})" for one in value)
-    return ", ".join(names) or "none"
+    return printable(", ".join(names)) or "none"
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from spectra_kit import eigensolvers, embeddings, subspaces
 from spectra_kit._files import atomic_path, parsing
+from spectra_kit._fingerprint import BLANK, has_seal, sealed
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.learning import heads, networks
 from spectra_kit.learning.examples import Recipe
@@ -23,7 +24,7 @@ from spectra_kit.learning.examples import Recipe
 Made = TypeVar("Made")
 
 _KEY = "spectra_kit.learning"
-_FORMAT = 1
+_FORMAT = 2  # 2: with a checksum
 #: Classes that a file may name, by their names: of options alone.
 _KNOWN = {
     name: kind
@@ -37,8 +38,10 @@ def write(
     path: str | os.PathLike[str], content: Mapping[str, Any], tensors: Mapping[str, Tensor]
 ) -> None:
     """Write tensors and what JSON or `as_json` can say, whole or not at all."""
-    text = json.dumps({"format": _FORMAT, **content})
-    data = save({name: tensor.contiguous() for name, tensor in tensors.items()}, {_KEY: text})
+    text = json.dumps({"sha256": BLANK, "format": _FORMAT, **content})
+    data = sealed(
+        save({name: tensor.contiguous() for name, tensor in tensors.items()}, {_KEY: text})
+    )
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
 
@@ -53,7 +56,8 @@ def read(
     Raises
     ------
     InvalidFileError
-        If the file is damaged, or `make` cannot take it apart.
+        If the file is damaged, or `make` cannot take it apart. Those of release 0.2.0 have no
+        checksum.
     """
     path = Path(path)
     with parsing(path, what, remedy="make it again"):
@@ -64,8 +68,11 @@ def read(
         except SafetensorError as error:
             problem = f"not a whole {what}, which is a safetensors file ({error})"
             raise InvalidFileError(path, problem) from error
-        if content["format"] != _FORMAT:
-            raise InvalidInputError("format", f"be {_FORMAT}", content["format"])
+        if content["format"] not in range(1, _FORMAT + 1):
+            raise InvalidInputError("format", f"be at most {_FORMAT}", content["format"])
+        seal = content.pop("sha256", None)
+        if (seal is not None or content["format"] > 1) and not has_seal(path.read_bytes(), seal):
+            raise InvalidInputError("its content has another checksum than it says")
         if not all(tensor.isfinite().all() for tensor in tensors.values()):
             raise InvalidInputError("tensors", "be finite", "some that are not")
         return make(content, tensors)

@@ -64,8 +64,13 @@ class StoreDataset(Dataset[ShapeTensors]):
         If the store holds nothing of the plan, or of several plans where none is named; when an
         item is asked for, if its modes are gone, or an operator refuses its geometry.
     InvalidFileError
-        If a record is damaged; when an item is asked for, if a file of it is. Modes are mapped into
-        memory, without the checks that reading makes: ``store.verify()`` makes them all.
+        When an item is asked for, if a file of it is damaged. Modes are mapped into memory, without
+        the checks that reading makes: ``store.verify()`` makes them all.
+
+    Warns
+    -----
+    DamagedEntryWarning
+        If a record is damaged: its shape is left out.
 
     Examples
     --------

@@ -96,7 +96,12 @@ class ShapeIndex(Brief):
         check_count("count", count, low=1)
         if not self.names:
             raise InvalidInputError("index", "hold a shape at least", "none")
-        gaps = np.abs(self.vectors - self.recipe.vector(shape))
+        vector = self.recipe.vector(shape)
+        if len(vector) != (columns := self.vectors.shape[1]):
+            raise InvalidInputError(
+                "recipe", f"give as many numbers as the index has columns, {columns}", len(vector)
+            )
+        gaps = np.abs(self.vectors - vector)
         spread = self.vectors.std(axis=0)
         varies = spread > 1e-9 * np.maximum(np.abs(self.vectors).max(axis=0), 1e-300)
         gaps = gaps[:, varies] / spread[varies] if varies.any() else gaps
@@ -121,11 +126,12 @@ class ShapeIndex(Brief):
         Raises
         ------
         InvalidFileError
-            If the file is damaged, or no index.
+            If the file is damaged, or no index. Those of release 0.2.0 have no checksum, and are
+            read without one.
         """
 
         def made(content: dict[str, Any], tensors: dict[str, Tensor]) -> ShapeIndex:
-            names, digests = tuple(content["names"]), tuple(content["digests"])
+            names, digests = map(_files.from_json, (content["names"], content["digests"]))
             recipe, vectors = _files.from_json(content["recipe"]), tensors["vectors"].numpy()
             return cls(recipe, names, digests, vectors)
 
@@ -184,7 +190,7 @@ def index_folder(
     """
     folder = Path(folder)
     entries = sorted(folder.iterdir()) if folder.is_dir() else []
-    files = [p for p in entries if is_readable(p) and p.is_file()]
+    files = [p for p in entries if is_readable(p) and not p.is_dir()]
     if not files:
         raise InvalidInputError(
             "folder",

@@ -9,10 +9,13 @@ import torch
 from torch import Tensor
 
 from spectra_kit._checked import checked
+from spectra_kit._validate import check_indices
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.learning._files import as_json, from_json, read, write
 from spectra_kit.learning.fitting import Model
 from spectra_kit.learning.heads import Head
 from spectra_kit.learning.labellers import Classifier, Segmenter
+from spectra_kit.learning.networks import Network
 
 _INPUTS = "network inputs"  # in the metadata
 
@@ -67,7 +70,8 @@ def load_labeller(path: str | os.PathLike[str]) -> Classifier | Segmenter:
     Raises
     ------
     InvalidFileError
-        If the file is damaged, or was not written by `save_labeller`.
+        If the file is damaged, or was not written by `save_labeller`. Those of release 0.2.0 have
+        no checksum, and are read without one.
     MissingDependencyError
         Without the packages that its method needs.
 
@@ -90,15 +94,32 @@ def load_labeller(path: str | os.PathLike[str]) -> Classifier | Segmenter:
 
 
 def _made(content: dict[str, Any], tensors: dict[str, Tensor]) -> Classifier | Segmenter:
-    names = tuple(content["names"])
+    names = from_json(content["names"])
     recipe, method = from_json(content["recipe"]), from_json(content["method"])
-    whole = content["kind"] == "Classifier"
+    whole = {"Classifier": True, "Segmenter": False}[content["kind"]]
     if whole and isinstance(method, Head):
         examples = tensors["vectors"].numpy(), tensors["labels"].numpy()
+        check_indices("labels", examples[1], len(names))
         return Classifier(names, recipe, method, method.fit(*examples), examples)
-    model = Model(method, content[_INPUTS], len(names), whole=whole)
+    sizes = method, content[_INPUTS], len(names)
+    _check_sizes(*sizes, tensors)
+    model = Model(*sizes, whole=whole)
     model.load_state_dict(tensors)
     model.eval()
     if whole:
         return Classifier(names, recipe, method, model)
     return Segmenter(names, recipe, method, model)
+
+
+def _check_sizes(method: Network, inputs: int, classes: int, tensors: dict[str, Tensor]) -> None:
+    """Refuse sizes that are not those of the tensors, before anything as large is built.
+
+    Each layer has a tensor, or more. On the device ``meta`` tensors are sizes alone.
+    """
+    if (depth := getattr(method, "depth", 1)) > len(tensors):
+        raise InvalidInputError("depth", f"be at most {len(tensors)}, the tensors there are", depth)
+    with torch.device("meta"):
+        announced = Model(method, inputs, classes, whole=False).state_dict()
+    ours, theirs = ({(n, *t.shape) for n, t in all_.items()} for all_ in (announced, tensors))
+    if odd := ours ^ theirs:
+        raise InvalidInputError("tensors", "be those of the method", f"others, as {min(odd)}")

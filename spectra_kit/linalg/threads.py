@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 #: Entries of a block, 8 MiB: one core passes over fewer in a millisecond.
@@ -35,9 +37,42 @@ def thread_count() -> int:
     chosen = os.environ.get("NUMBA_NUM_THREADS", "")
     if chosen.isdecimal() and int(chosen) > 0:
         return int(chosen)
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return usable_cores()
+
+
+def usable_cores() -> int:
+    """Return the number of cores this process may use: bound to some, or to a share of their time.
+
+    The latter is what containers and batch systems give.
+    """
+    here = hasattr(os, "sched_getaffinity")
+    cores = len(os.sched_getaffinity(0)) if here else os.cpu_count() or 1
+    return max(1, math.ceil(min(cores, _quota())))
+
+
+@cache
+def _quota(root: Path = Path("/sys/fs/cgroup"), own: Path = Path("/proc/self/cgroup")) -> float:
+    """Return the cores that the groups of this process may keep busy, on Linux."""
+    least = math.inf
+    try:
+        lines = own.read_text().splitlines()
+    except OSError:  # another system
+        return least
+    for line in lines:
+        _, kinds, group = line.split(":", 2)
+        if kinds and "cpu" not in kinds.split(","):
+            continue
+        # In a container its own group is the root; elsewhere each group around has a say.
+        for above in (Path(group), *Path(group).parents):
+            folder = root / kinds / above.relative_to("/")
+            with suppress(OSError, ValueError):
+                if kinds:  # of the first version
+                    parts = ("cpu.cfs_quota_us", "cpu.cfs_period_us")
+                    share, period = (float((folder / part).read_text()) for part in parts)
+                else:
+                    share, period = map(float, (folder / "cpu.max").read_text().split())
+                least = min(least, share / period if share > 0 else math.inf)
+    return least
 
 
 def ranges(n: int, size: int) -> list[tuple[int, int]]:

@@ -17,13 +17,13 @@ from safetensors.torch import save
 
 from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path
+from spectra_kit._fingerprint import BLANK, has_seal, sealed
 from spectra_kit.errors import InvalidInputError, WeightsError
 from spectra_kit.linalg.torch_device import check_device, check_float_dtype
 from spectra_kit.neo.backbones import build_network
 from spectra_kit.neo.model import NeoConfig, NeoNetwork
 
 _KEY = "spectra_kit.neo"  # the only one of the metadata: a file with two would differ every time
-_BLANK = b"0" * 64  # where the digest of the file goes, while it is computed
 
 #: Shipped weights: name -> (file in neo/weights, sha256 of the file).
 WEIGHTS: dict[str, tuple[str, str]] = {
@@ -101,8 +101,8 @@ def load_pretrained(name_or_path: str | os.PathLike[str], device: str = "cpu") -
             advice="reinstall spectra_kit",
         )
     config, record, tensors = _unpacked(path, data)
+    _check_tensors(path, _announced(path, config, tensors), tensors)
     network = build_network(config)
-    _check_tensors(path, network, tensors)
     network.load_state_dict(tensors)  # into float32, whatever the precision on disk
     network.requires_grad_(False).eval().to(place)
     return Pretrained(network, config, os.fspath(name_or_path), digest, record)
@@ -127,16 +127,9 @@ def _unpacked(path: Path, data: bytes) -> tuple[NeoConfig, dict[str, Any], dict[
         config, record = NeoConfig(**content.pop("config")), content.pop("record")
     except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise WeightsError(f"{path} has unreadable metadata ({error!r})") from error
-    if content or (
-        seal is not None and _sealed(data.replace(str(seal).encode(), _BLANK, 1)) != data
-    ):
+    if content or (seal is not None and not has_seal(data, seal)):
         raise WeightsError(f"{path} is not what `save_weights` wrote; it was changed or damaged")
     return config, record, tensors
-
-
-def _sealed(data: bytes) -> bytes:
-    """Return the content of a file with its digest in place of the blank: the format has none."""
-    return data.replace(_BLANK, hashlib.sha256(data).hexdigest().encode(), 1)
 
 
 @checked
@@ -172,16 +165,14 @@ def save_weights(
     """
     check_float_dtype(dtype)
     try:
-        content = json.dumps(
-            {"sha256": _BLANK.decode(), "config": asdict(network.config), "record": record}
-        )
+        content = json.dumps({"sha256": BLANK, "config": asdict(network.config), "record": record})
     except TypeError as error:
         raise InvalidInputError("record", "hold JSON values only", error) from error
     tensors = {
         name: tensor.detach().to("cpu", dtype).contiguous()
         for name, tensor in network.state_dict().items()
     }
-    data = _sealed(save(tensors, {_KEY: content}))
+    data = sealed(save(tensors, {_KEY: content}))
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
     return hashlib.sha256(data).hexdigest()
@@ -243,8 +234,30 @@ def _sha256_of(path: Path, _changed: int, _size: int) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _check_tensors(path: Path, network: NeoNetwork, tensors: dict[str, torch.Tensor]) -> None:
-    ours = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
+def _announced(
+    path: Path, config: NeoConfig, tensors: dict[str, torch.Tensor]
+) -> dict[str, torch.Tensor]:
+    """Return sizes of the tensors of a configuration, before anything as large is built.
+
+    Each block has a tensor, or more, and each wave a row of one. On the device ``meta`` tensors are
+    sizes alone.
+    """
+    longest = max((size for tensor in tensors.values() for size in tensor.shape), default=0)
+    try:
+        if config.depth > len(tensors) or config.waves > longest:
+            raise RuntimeError("more blocks or waves than there are tensors, or rows of them")  # noqa: TRY301
+        with torch.device("meta"):
+            return build_network(config).state_dict()
+    except RuntimeError as error:
+        raise WeightsError(
+            f"{path} must hold the tensors of its configuration {config} ({error})"
+        ) from error
+
+
+def _check_tensors(
+    path: Path, announced: dict[str, torch.Tensor], tensors: dict[str, torch.Tensor]
+) -> None:
+    ours = {name: tuple(tensor.shape) for name, tensor in announced.items()}
     theirs = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
     if wrong := sorted(
         name for name in ours.keys() | theirs.keys() if ours.get(name) != theirs.get(name)

@@ -49,11 +49,21 @@ class ModeCount(Rebuilt):
     reason: str = ""
 
     def __post_init__(self) -> None:
-        check_count("verified", self.verified, low=0)
+        for name in ("verified", "missing", "added"):
+            check_count(name, getattr(self, name), low=0)
+        _check_magnitude("radius", self.radius)
+        if np.isnan(self.floor):
+            raise InvalidInputError("floor", "be a number", self.floor)
 
     def rescaled(self, square: float) -> ModeCount:
         """Return the same for eigenvalues divided by `square`."""
         return replace(self, radius=self.radius / square, floor=self.floor / square)
+
+
+def _check_magnitude(name: str, value: float) -> None:
+    """Refuse what no norm, no distance and no error can be."""
+    if not value >= 0:
+        raise InvalidInputError(name, "be at least 0", value)
 
 
 @checked
@@ -139,8 +149,16 @@ class Certificate(Rebuilt):
                 "bounded", f"have the shape {shape} of `residuals`", bounded.shape
             )
         object.__setattr__(self, "bounded", frozen(bounded))
-        for name in ("n_zero_modes", "kernel_dimension", "n_components"):
+        for name in ("residuals", "relative_residuals", "excess", "errors"):
+            if (array := getattr(self, name)) is not None:
+                _check_magnitude(name, array.min(initial=0.0))
+        _check_magnitude("orthonormality_error", self.orthonormality_error)
+        k = len(self.residuals)
+        check_count("n_zero_modes", self.n_zero_modes, low=0, high=k)
+        for name in ("kernel_dimension", "n_components"):
             check_count(name, getattr(self, name), low=0)
+        if self.count is not None:
+            check_count("verified", self.count.verified, low=0, high=k)
 
     @property
     def level(self) -> Literal["residuals", "verified"]:

@@ -14,10 +14,11 @@ from scipy import sparse
 
 from spectra_kit._checked import checked
 from spectra_kit._display import draw
-from spectra_kit._spectrum_file import read_spectrum_file, write_spectrum_file
+from spectra_kit._files import parsing
+from spectra_kit._spectrum_file import REMEDY, read_spectrum_file, write_spectrum_file
 from spectra_kit._types import Floats
 from spectra_kit._validate import Rebuilt, check_count, check_positive, frozen, quantity
-from spectra_kit.errors import InvalidFileError, InvalidInputError, InvalidSpectrumError
+from spectra_kit.errors import InvalidInputError, InvalidSpectrumError
 from spectra_kit.linalg.host import gram
 from spectra_kit.linalg.residuals import residual_norms
 from spectra_kit.linalg.threads import blas_threads_for
@@ -569,17 +570,14 @@ class Spectrum(Rebuilt):
         ...     Spectrum.load(Path(folder) / "modes.npz").eigenvalues
         array([0., 1.])
         """
-        arrays, certificate, provenance = read_spectrum_file(Path(path), mmap=mmap)
-        try:
+        path = Path(path)
+        arrays, certificate, provenance = read_spectrum_file(path, mmap=mmap)
+        with parsing(path, "spectrum file", remedy=REMEDY):
             return cls(
                 **arrays,
                 certificate=_restored(certificate) if certificate else None,
                 provenance=Provenance(**provenance),
             )
-        except TypeError as error:
-            raise InvalidFileError(path, f"it has an unknown header ({error})") from error
-        except InvalidInputError as error:
-            raise InvalidFileError(path, error) from error
 
     def to_torch(
         self, *, device: str | torch.device = "cpu", dtype: torch.dtype | None = None

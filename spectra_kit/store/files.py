@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from spectra_kit._arrays_file import read_arrays, write_arrays
 from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path, parsing
+from spectra_kit._fingerprint import BLANK, facts_digest, has_seal, sealed
 from spectra_kit._validate import warn
+from spectra_kit._version import VERSION
 from spectra_kit.errors import (
     DamagedEntryWarning,
     InvalidFileError,
@@ -213,9 +215,9 @@ def warn_of_damage(error: InvalidFileError) -> None:
     warn(damage(error), DamagedEntryWarning)
 
 
-def misnamed() -> InvalidInputError:
-    """Return what is wrong with an entry that is whole, but under another name."""
-    return InvalidInputError("its content has another hash than its name", advice=REMEDY)
+def warn_of_omission(error: InvalidFileError) -> None:
+    """Say that what is damaged is left out."""
+    warn(f"{error.path} is damaged and left out: {error.problem}", DamagedEntryWarning)
 
 
 def write(path: Path, facts: Mapping[str, object], **arrays: NDArray[Any]) -> None:
@@ -229,22 +231,57 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     return read_arrays(path, "entry of a store", lambda header: header["arrays"], remedy=REMEDY)
 
 
+def read_named(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return what an entry follows from, by which it is named, and its arrays."""
+    header, arrays = read(path)
+    return _facts_of(path, header), arrays
+
+
 def read_facts(path: Path) -> dict[str, Any]:
-    """Return what an entry follows from, without its arrays."""
+    """Return what an entry follows from, by which it is named, without its arrays."""
     header, _ = read_arrays(path, "entry of a store", lambda _: (), remedy=REMEDY)
+    return _facts_of(path, header)
+
+
+def _facts_of(path: Path, header: Mapping[str, Any]) -> dict[str, Any]:
     with parsing(path, "entry of a store", remedy=REMEDY):
-        return dict(header["facts"])
+        facts = dict(header["facts"])
+        _check_name(path, facts)
+    return facts
+
+
+def _check_name(path: Path, facts: Mapping[str, object]) -> None:
+    """Refuse what is whole, but under the name of something else."""
+    if facts_digest(facts) != path.stem:
+        raise ValueError("its content has another hash than its name")
+
+
+def write_record(path: Path, record: ShapeRecord) -> None:
+    """Write what is known of a name, with a checksum: the first of its fields."""
+    with atomic_path(path) as part:
+        part.write_bytes(sealed(json.dumps({"sha256": BLANK, **vars(record)}).encode() + b"\n"))
 
 
 def read_record(path: Path) -> ShapeRecord | None:
-    """Return what is known of a name; None where it is gone, as others may take it."""
+    """Return what is known of a name; None where it is gone, as others may take it.
+
+    Those of other releases, which no run asks for, may have no checksum.
+    """
     with parsing(path, "record of a store", remedy=REMEDY):
         try:
-            content = json.loads(path.read_text())
+            data = path.read_bytes()
         except FileNotFoundError:
             return None
+        content = json.loads(data)
+        seal = content.pop("sha256", None)
+        if (seal is not None or content["facts"]["release"] == VERSION) and not has_seal(
+            data, seal
+        ):
+            raise ValueError("its content has another checksum than it says, or none")
         lists = {name: tuple(content[name]) for name in _LISTS}
-        return ShapeRecord(**{**content, **lists})
+        record = ShapeRecord(**{**content, **lists})
+        _check_name(path, record_facts(record.name, record.facts))
+        return record
 
 
 @contextmanager

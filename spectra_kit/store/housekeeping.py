@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from spectra_kit._fingerprint import facts_digest
+from spectra_kit._files import temporary_folder
 from spectra_kit._version import VERSION
 from spectra_kit.errors import InvalidFileError
-from spectra_kit.spectra import Spectrum
 from spectra_kit.store import files
-from spectra_kit.store.files import Damage, StoredEntry
+from spectra_kit.store.files import Damage, Kind, StoredEntry
 
 if TYPE_CHECKING:
     from spectra_kit.store.store import SpectrumStore
@@ -41,29 +39,32 @@ def verify(
 
 def _read_whole(store: SpectrumStore, entry: StoredEntry) -> None:
     """Raise if an entry is damaged, or under another name than its content has."""
-    facts: Mapping[str, object] | None = None
-    if entry.kind == "records":
-        if (record := files.read_record(entry.path)) is not None:
-            facts = files.record_facts(record.name, record.facts)
-    elif entry.kind == "shapes":
-        store.shape(entry.key)
-    elif entry.kind == "spectra":
-        Spectrum.load(entry.path)
-        facts = files.read_facts(entry.path)
-    else:
-        facts = files.read(entry.path)[0]["facts"]
-    if facts is not None and facts_digest(facts) != entry.key:
-        raise InvalidFileError(entry.path, files.misnamed())
+    reading: Mapping[Kind, Callable[[str], object]] = {
+        "shapes": store.shape,
+        "spectra": store.load,
+        "descriptors": store.load_descriptor,
+        "operators": store.load_operator,
+        "maps": store.load_map,
+        "records": lambda _: files.read_record(entry.path),
+    }
+    reading[entry.kind](entry.key)
 
 
 def clean(store: SpectrumStore, *, unnamed: bool) -> list[Path]:
     """See `SpectrumStore.clean`."""
-    before = time.time() - _LEFT
+    before = _now(Path(store.path)) - _LEFT
     gone, used, named, kept = list[Path](), set[str](), set[str](), set[str]()
     # Listed before what they follow from: what a run makes meanwhile is no orphan.
     maps, descriptors = ([*store.entries(kind)] for kind in ("maps", "descriptors"))
     for entry in store.entries("records"):
-        if (record := files.read_record(entry.path)) is None:
+        try:
+            record = files.read_record(entry.path)
+        except InvalidFileError as error:
+            if unnamed:  # nobody knows what it has named
+                raise
+            files.warn_of_omission(error)
+            continue
+        if record is None:
             continue
         if record.facts["release"] == VERSION:
             used.add(record.shape)
@@ -106,10 +107,16 @@ def _with_facts(entries: Iterable[StoredEntry]) -> Iterator[tuple[StoredEntry, d
             yield entry, facts
 
 
+def _now(folder: Path) -> float:
+    """Return the time by the clock that the files of a folder have theirs from: another's maybe."""
+    with files.writing(folder), temporary_folder(folder) as new:
+        return new.stat().st_mtime
+
+
 def _is_there(entry: StoredEntry) -> bool:
     return files.state(entry.path) is not None
 
 
-def _older(path: Path, time: float) -> bool:
+def _older(path: Path, moment: float) -> bool:
     state = files.state(path)
-    return state is not None and state.st_mtime < time
+    return state is not None and state.st_mtime < moment

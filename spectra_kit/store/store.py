@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from spectra_kit._checked import checked
-from spectra_kit._files import atomic_path, parsing
+from spectra_kit._files import parsing
 from spectra_kit._fingerprint import facts_digest, shape_digest
 from spectra_kit._spectrum_file import write_spectrum_file
 from spectra_kit._types import Floats
@@ -146,7 +145,10 @@ class SpectrumStore:
         True
         """
         path = self._place("spectra", key)
-        return Spectrum.load(path, mmap=mmap) if path.exists() else None
+        if not path.exists():
+            return None
+        files.read_facts(path)  # that it is the one of this key
+        return Spectrum.load(path, mmap=mmap)
 
     def spectrum(self, shape: Geometry, plan: Plan) -> Spectrum:
         """Return the spectrum of a shape; compute and keep it if it is not there.
@@ -271,7 +273,7 @@ class SpectrumStore:
         path = self._place("descriptors", key)
 
         def known() -> Floats | None:
-            return files.read(path)[1]["values"] if path.exists() else None
+            return self.load_descriptor(key) if path.exists() else None
 
         def described() -> Floats:
             values = np.asarray(describe(name, self.spectrum(shape, plan))).astype(plan.precision)
@@ -333,7 +335,10 @@ class SpectrumStore:
         >>> store.load_descriptor(key).shape
         (600, 16)
         """
-        values: Floats = files.read(self._place("descriptors", key))[1]["values"]
+        path = self._place("descriptors", key)
+        _, arrays = files.read_named(path)
+        with parsing(path, "signature of a store", remedy=files.REMEDY):
+            values: Floats = arrays["values"]
         return values
 
     def keep_operator(self, shape: Geometry, plan: Plan, name: OperatorName) -> str:
@@ -378,7 +383,7 @@ class SpectrumStore:
                 files.write(place, facts, **packed(shape, plan, name))
             return key
 
-        return _known(lambda: files.read(path) and key if path.exists() else None, kept)
+        return _known(lambda: (self.load_operator(key), key)[1] if path.exists() else None, kept)
 
     def load_operator(self, key: str) -> csr_array | TangentGradient:
         """Return an operator.
@@ -407,9 +412,11 @@ class SpectrumStore:
         >>> store.load_operator(key).frames.shape
         (600, 3, 3)
         """
-        header, arrays = files.read(self._place("operators", key))
-        stiffness = header["facts"]["kept"] == "stiffness"
-        return stiffness_of(arrays) if stiffness else gradient_of(arrays)
+        path = self._place("operators", key)
+        facts, arrays = files.read_named(path)
+        with parsing(path, "operator of a store", remedy=files.REMEDY):
+            stiffness = facts["kept"] == "stiffness"
+            return stiffness_of(arrays) if stiffness else gradient_of(arrays)
 
     def keep_shape(self, shape: Geometry) -> str:
         """Keep a geometry, and return its key.
@@ -576,11 +583,7 @@ class SpectrumStore:
         """
         if not self.has_map(key):
             return None
-        path = self._place("maps", key)
-        header, arrays = files.read(path)
-        if facts_digest(header["facts"]) != key:
-            raise InvalidFileError(path, files.misnamed())
-        return header["facts"], arrays
+        return files.read_named(self._place("maps", key))
 
     def record(self, name: str, plan: Plan) -> ShapeRecord | None:
         """Return what is known of a name under a plan.
@@ -642,10 +645,9 @@ class SpectrumStore:
         >>> store.record("cat.off", plan).name
         'cat.off'
         """
-        text = json.dumps(vars(record), sort_keys=True) + "\n"
         key = facts_digest(files.record_facts(record.name, record.facts))
-        with self._new("records", key) as path, atomic_path(path) as part:
-            part.write_text(text)
+        with self._new("records", key) as path:
+            files.write_record(path, record)
 
     def sizes(self, record: ShapeRecord) -> dict[str, int]:
         """Return the bytes of those entries of a record that are there.
@@ -722,10 +724,10 @@ class SpectrumStore:
         ShapeRecord
             One for each name and plan.
 
-        Raises
-        ------
-        InvalidFileError
-            If a record is damaged.
+        Warns
+        -----
+        DamagedEntryWarning
+            If a record is damaged: it is left out.
 
         Examples
         --------
@@ -735,9 +737,13 @@ class SpectrumStore:
         []
         """
         for entry in self.entries("records"):
-            record = files.read_record(entry.path)
-            if record is not None and (plan is None or record.facts == plan.facts):
-                yield record
+            try:
+                record = files.read_record(entry.path)
+            except InvalidFileError as error:
+                files.warn_of_omission(error)
+            else:
+                if record is not None and (plan is None or record.facts == plan.facts):
+                    yield record
 
     def entries(self, kind: Kind | None = None) -> Iterator[StoredEntry]:
         """Yield all entries, or those of a kind, in the order of their keys.
@@ -823,7 +829,7 @@ class SpectrumStore:
         Raises
         ------
         InvalidFileError
-            If an entry is damaged: `verify` first.
+            If an entry is damaged, or a record is and what is unnamed shall go: `verify` first.
         StoreError
             If something cannot be removed.
 

@@ -387,11 +387,8 @@ def _open_shard(path: Path) -> Corpus:
             dtype = np.dtype(dtypes.get(name, np.int64))
             if array.dtype != dtype:
                 raise TypeError(f"{name} must be {dtype}, got {array.dtype}")
-        try:
-            rest = [arrays.pop(name) for name in _OPERATOR_DTYPES if name in arrays]
-            return _shard(Batch(**arrays, operators=Operators(*rest) if rest else None), labels)
-        except InvalidInputError as error:
-            raise ValueError(error) from error
+        rest = [arrays.pop(name) for name in _OPERATOR_DTYPES if name in arrays]
+        return _shard(Batch(**arrays, operators=Operators(*rest) if rest else None), labels)
 
 
 def join(corpora: Sequence[Corpus], *, name: str = "corpora") -> Corpus:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import sys
+from contextlib import suppress
 from string import ascii_uppercase
 from typing import Any
 
@@ -38,6 +41,25 @@ _TO_RGB = np.array(
 )
 
 
+def import_matplotlib() -> None:
+    """Import Matplotlib, also where MPLBACKEND names a window system that is not installed here.
+
+    A notebook sets that for all that it starts. Nothing here needs one, but Matplotlib refuses to
+    be imported; where it can be, it is, and that backend is the one of whoever plots beside.
+    """
+    if "matplotlib" in sys.modules:
+        return
+    chosen = os.environ.pop("MPLBACKEND", None)
+    try:
+        import matplotlib as mpl
+    finally:
+        if chosen is not None:
+            os.environ["MPLBACKEND"] = chosen
+    if chosen:
+        with suppress(ValueError):
+            mpl.rcParams["backend"] = chosen
+
+
 def diverging_colours(values: Floats) -> Bytes:
     """Colour values (n,) in [-1, 1], cut off there: blue to white at zero to red.
 
@@ -52,6 +74,7 @@ def diverging_colours(values: Floats) -> Bytes:
 
 def sequential_colours(values: Floats) -> Bytes:
     """Colour values (n,) in [0, 1], cut off there: Matplotlib's viridis, dark to light."""
+    import_matplotlib()
     from matplotlib import colormaps
 
     return np.asarray(colormaps["viridis"](np.clip(values, 0.0, 1.0), bytes=True))[..., :3]
@@ -75,6 +98,7 @@ def position_colours(positions: Floats, low: Floats, high: Floats, *, squares: b
 
 def error_colours(errors: Floats, limit: float) -> Bytes:
     """Colour errors (n,) from light at 0 to dark at `limit` and above; grey where NaN."""
+    import_matplotlib()
     from matplotlib import colormaps
 
     # The dark end of the map would swallow the shading of a lit surface.

@@ -121,6 +121,7 @@ class _Mine:
             yield self.drawer
         # On Linux first a context without a display, then whatever VTK prefers.
         own = dict(os.environ)
+        own.pop("MPLBACKEND", None)  # PyVista imports Matplotlib, and draws by VTK
         if sys.platform.startswith("linux") and "VTK_DEFAULT_OPENGL_WINDOW" not in own:
             yield _Drawer(own | {"VTK_DEFAULT_OPENGL_WINDOW": "vtkEGLRenderWindow"})
         yield _Drawer(own)

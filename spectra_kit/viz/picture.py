@@ -16,6 +16,7 @@ from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path, check_target, temporary_folder
 from spectra_kit._optional import optional
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.viz.colours import import_matplotlib
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -110,6 +111,7 @@ def written(
             if args and (given > len(needed) or _ends_in(args[0], suffixes)):
                 path, *args = args  # type: ignore[assignment]
             _check_path(path, suffixes)
+            import_matplotlib()
             drawn = draw(*args, **options)
             if path is not None:
                 with atomic_path(path) as part:

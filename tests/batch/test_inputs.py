@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 from conftest import bumpy, refused
 
-from spectra_kit.batch import Input, find_inputs, shard
+from spectra_kit.batch import Input, compute_all, find_inputs, shard
 from spectra_kit.errors import InvalidFileError
 from spectra_kit.geometry import write
-from spectra_kit.store import SpectrumStore
+from spectra_kit.store import Plan, SpectrumStore
 
 
 @pytest.fixture
@@ -60,6 +60,14 @@ def test_manifests(folder):
         ("file,age\na.ply\n", "line 2 has not a cell for each column"),
         ("file\na.ply,4\n", "line 2 has not a cell for each column"),
         ('file\n"a.ply\n', "not a table of commas in UTF-8"),
+        ("file,file\na.ply,b.ply\n", "otherwise than the others, got 'file', 'file'"),
+        ("file,name,name\na.ply,a,b\n", "name each column, and otherwise than the others"),
+        ("file,name,label,label\na.ply,a,b,c\n", "otherwise than the others"),
+        ("file,label, label\na.ply,b,c\n", "otherwise than the others"),
+        ('file,"label",label\na.ply,b,c\n', "otherwise than the others"),
+        (",file,age\n0,a.ply,3\n", "name each column, and otherwise than the others, got ''"),
+        ("file,name,\na.ply,a,\n", "name each column"),
+        ("file, \na.ply,b\n", "name each column"),
     ],
 )
 def test_manifests_that_are_none(folder, text, problem):
@@ -75,6 +83,44 @@ def test_a_manifest_in_another_encoding_or_missing(folder):
         find_inputs(["people.csv"])
     with pytest.raises(InvalidFileError, match="there is no such file"):
         find_inputs(["nobody.csv"])
+
+
+def test_links_to_folders_are_followed_and_those_to_nothing_are_named(folder):
+    Path("elsewhere/inner").mkdir(parents=True)
+    for file in ("elsewhere/d.off", "elsewhere/inner/e.ply"):
+        write(bumpy(), file)
+    for name, target in {
+        "linked": "../elsewhere",
+        "again": "../elsewhere",  # the same files by another name
+        "deep/circle": "../../scans",
+        "self": ".",
+        "gone.off": "../.git/annex/gone.off",
+        "round.off": "round.off",
+        "file.stl": "../elsewhere/d.off",
+        "away": "nowhere",
+        "notes.off": "deep",  # a folder, of which the name says nothing
+    }.items():
+        Path("scans", name).symlink_to(target)
+    Path("elsewhere/circle").symlink_to(".")
+    found = names("scans")
+    every = ["scans/a.ply", "scans/b.off", "scans/deep/c.obj"]
+    linked = [f"scans/{name}/{file}" for name in ("again", "linked")
+              for file in ("d.off", "inner/e.ply")]  # fmt: skip
+    others = ["scans/file.stl", "scans/gone.off", "scans/notes.off/c.obj", "scans/round.off"]
+    assert found == sorted([*every, *linked, *others])
+    assert set(names("scans/*.off")) == {"scans/b.off", "scans/gone.off", "scans/round.off"}
+    report = compute_all(
+        [one for one in find_inputs(["scans"]) if "o" in one.path.stem], SpectrumStore("store"),
+        Plan(k=4),
+    )  # fmt: skip
+    assert [one.input.name for one in report.failed] == ["scans/gone.off", "scans/round.off"]
+    assert all(isinstance(one.error, InvalidFileError) for one in report.failed)
+
+
+def test_a_link_to_a_store_is_not_read(folder):
+    SpectrumStore("store").keep_shape(bumpy())
+    Path("scans/store").symlink_to("../store")
+    assert not any("store" in name for name in names("scans"))
 
 
 def test_sources_that_name_nothing_or_one_thing_twice(folder):

@@ -2,11 +2,13 @@
 
 import csv
 import os
+import re
 import signal
 import socket
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 
 import dask
 import numpy as np
@@ -26,9 +28,12 @@ from spectra_kit.batch import (
     write_table,
 )
 from spectra_kit.batch.preload import own_device
+from spectra_kit.batch.spared import Spared
 from spectra_kit.batch.table import check_columns
-from spectra_kit.errors import EngineLostError, InvalidFileError, StoreError
+from spectra_kit.batch.table import write as write_rows
+from spectra_kit.errors import EngineLostError, InvalidFileError, InvalidInputError, StoreError
 from spectra_kit.geometry import write
+from spectra_kit.linalg.threads import usable_cores
 from spectra_kit.store import Plan, SpectrumStore
 
 PLAN = Plan(k=6)
@@ -209,6 +214,27 @@ def test_columns_of_a_tables_own_are_refused_before_the_work(column, scans):
     refused("columns", "not have the names of the table's own", check_columns, [one])
 
 
+@pytest.mark.parametrize(
+    "text",
+    ["=1+1", "+1+1", "-1+1", "@SUM(1)", "\t=1", "\r=1", "\n=1", " =1", "\uff1d1", "-", "--1",
+     "-1.5x", "=cmd|'/C calc'!A0", "+49 30 123", "-1,5"],
+)  # fmt: skip
+def test_no_cell_is_run_by_a_spreadsheet(tmp_path, text):
+    for columns, row in (([text], {text: "1"}), (["a"], {"a": text})):
+        write_rows(tmp_path / "table.csv", columns, [row])
+        with (tmp_path / "table.csv").open(newline="", encoding="utf-8") as file:
+            cells = [cell for row in csv.reader(file) for cell in row]
+        assert not any(cell.lstrip()[:1] in set("=+-@\uff1d") for cell in cells)
+        assert any(text.strip() in cell for cell in cells)
+
+
+@pytest.mark.parametrize("value", ["-1.5", "+3", "-.5e-3", "-2.", 7, -1.5, "cat", "", "a=b", True])
+def test_numbers_and_words_stay_what_they_are(tmp_path, value):
+    write_rows(tmp_path / "table.csv", ["a"], [{"a": value}])
+    with (tmp_path / "table.csv").open(newline="") as file:
+        assert [*csv.DictReader(file)] == [{"a": str(value)}]
+
+
 def test_names_of_files_may_be_no_text(scans, store, tmp_path):
     name = os.fsdecode(b"caf\xe9.ply")
     (tmp_path / name).write_bytes((scans / "bumpy.ply").read_bytes())
@@ -277,6 +303,73 @@ def test_each_local_worker_sees_a_device_of_its_own(monkeypatch):
     with DaskEngine(nworkers=2)._client() as client:
         seen = client.run(lambda: os.environ["CUDA_VISIBLE_DEVICES"])
     assert sorted(seen.values()) == ["5", "7"]
+
+
+@dataclass(frozen=True)
+class Works:
+    """A task that takes a processor so many seconds."""
+
+    name: str
+    seconds: float
+
+    def __call__(self) -> tuple[str, int]:
+        end = time.process_time() + self.seconds
+        while time.process_time() < end:
+            pass
+        return self.name, os.getpid()
+
+
+def test_no_workers_start_for_what_does_not_pay():
+    def never(tasks):
+        raise AssertionError
+
+    few = [Works(str(i), 0.001) for i in range(20)]
+    assert [result for _, result in Spared(never)(few)] == [(t.name, os.getpid()) for t in few]
+
+
+@pytest.mark.skipif(usable_cores() < 2, reason="one core is this process's")
+def test_workers_start_for_what_pays():
+    todo = [Works(str(i), 0.01) for i in range(10**6)]
+    handed = []
+
+    def engine(tasks):
+        handed.extend(tasks)
+        yield from ((task, "there") for task in tasks)
+
+    results = [*Spared(engine)(todo)]
+    assert [task for task, _ in results] == todo
+    assert 0 < len(handed) == sum(result == "there" for _, result in results) < len(todo)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="Linux binds processes to cores")
+def test_workers_are_as_many_as_the_cores_that_may_be_used():
+    distributed, before = pytest.importorskip("distributed"), os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(before)})
+    try:
+        with DaskEngine()._client() as client:
+            workers = client.scheduler_info(n_workers=-1)["workers"].values()
+            assert [one["memory_limit"] for one in workers] == [distributed.system.MEMORY_LIMIT]
+    finally:
+        os.sched_setaffinity(0, before)
+    with DaskEngine(nworkers=3)._client() as client:  # more than there are cores, maybe
+        workers = client.scheduler_info(n_workers=-1)["workers"].values()
+        given = [one["memory_limit"] for one in workers]
+        assert given == [distributed.system.MEMORY_LIMIT // 3] * 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limit", ["1MB", "100MB", "0.0005"])
+def test_a_memory_limit_that_no_worker_can_keep_is_refused_at_once(scans, store, limit):
+    inputs, engine = find_inputs([scans]), DaskEngine(nworkers=1, memory_limit=limit)
+    with pytest.raises(InvalidInputError, match="`memory_limit` must be more than a") as caught:
+        compute_all(inputs, store, PLAN, engine=engine)
+    assert list(store.entries()) == []
+    needed = re.search(r"takes before it has a shape, (\d+) MB, got", str(caught.value)).group(1)
+    report = compute_all(
+        inputs[:1], store, PLAN, engine=DaskEngine(nworkers=1, memory_limit=f"{2 * int(needed)}MB")
+    )
+    assert report.failed == ()
 
 
 @pytest.mark.slow
@@ -418,7 +511,7 @@ def test_what_cannot_be_handed_to_workers_is_told(scans, store):
 @pytest.mark.slow
 def test_workers_refuse_what_will_not_fit(scans, store):
     plan = Plan(k=500)
-    engine = DaskEngine(nworkers=1, memory_limit="210MB")
+    engine = DaskEngine(nworkers=1, memory_limit="300MB")  # 0.28 GiB
     write(creature(9000), store.path / "large.off")
     report = compute_all(find_inputs([store.path / "large.off"]), store, plan, engine=engine)
     assert "need about 0." in str(report.failed[0].error)

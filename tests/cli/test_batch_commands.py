@@ -2,6 +2,8 @@
 
 import csv
 import json
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -122,6 +124,53 @@ def test_workers_do_the_same(scans, capsys):
 )
 def test_options_that_are_wrong(scans, capsys, message, options):
     assert message in refusal(capsys, "batch", "scans", "-o", "store", "-k", 6, *options)
+
+
+@pytest.mark.parametrize(
+    "kind", ["itself", "spelling", "link", "hard link", "folder link", "shape"]
+)
+def test_a_manifest_is_never_replaced_by_its_table(scans, capsys, kind):
+    manifest, text = Path("people.csv"), "file,name,species\nscans/a.off,a,cat\n"
+    manifest.write_text(text)
+    table = Path("table.csv")
+    if kind == "itself":
+        table = manifest
+    elif kind == "spelling":
+        table = Path("scans/../people.csv")
+    elif kind == "link":
+        table.symlink_to(manifest)
+    elif kind == "hard link":
+        os.link(manifest, table)
+    elif kind == "folder link":
+        Path("here").symlink_to(".")
+        table = Path("here/people.csv")
+    else:  # by another name than it has as an input
+        os.link("scans/a.off", "table.csv")
+    line = refusal(capsys, "batch", manifest, "--out", "store", *HERE, "--csv", table)
+    assert "`output` must not replace an input" in line
+    assert manifest.read_text() == text
+    assert not Path("store").exists()
+
+
+def test_what_terminals_obey_is_written_as_it_is_typed(scans, capsys):
+    """Whatever a manifest, a file's name or an error says."""
+    bad = "\x1b[2J\x1b]0;owned\x07\r\x08\x9b31m\x7f"
+    with open("people.csv", "w", newline="", encoding="utf-8") as file:
+        rows = [["file", "name"], ["scans/a.off", bad], ["scans/a.off", "two\nlines"],
+                [f"none{bad}.off", f"gone{bad}"]]  # fmt: skip
+        csv.writer(file).writerows(rows)
+    run = ("batch", "people.csv", "--out", "store", *HERE, "--csv", "table.csv")
+    assert main([*map(str, run)]) == 2
+    told = capsys.readouterr()
+    _, listed = printed(capsys, "store", "list", "store")[::-1]
+    Path(f"scans/{bad}.off").write_text("")
+    assert main(["modes", f"scans/{bad}.off", "-o", "a.png"]) == 2
+    texts = (told.out, told.err, listed, capsys.readouterr().err, Path("table.csv").read_text())
+    obeyed = {*map(chr, range(32)), *map(chr, range(0x7F, 0xA0))} - {"\n"}
+    for text in texts:
+        assert not obeyed & {*text}
+    assert sum(r"\x1b[2J\x1b]0;owned\x07\x0d\x08\x9b31m\x7f" in text for text in texts) >= 4
+    assert r"two\x0alines" in listed
 
 
 def test_inputs_and_stores_that_are_none(scans, capsys):

@@ -301,7 +301,7 @@ def test_a_reader_that_leaves_early_is_no_error():
     ("command", "code", "err"),
     [
         ("modes --help >&-", 0, ""),
-        ("modes --help >/dev/full", 2, "error: no space left on device"),
+        ("modes --help >/dev/full", 2, "error: standard output: no space left on device"),
         ("fly 2>&-", 2, ""),
         ("fly 2>/dev/full", 2, ""),
         ("info none.off <&- >&-", 2, "error: none.off: there is no such file; looked from"),

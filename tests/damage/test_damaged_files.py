@@ -1,4 +1,4 @@
-"""Damaged files that the library wrote itself: spectra, weights, checkpoints."""
+"""Damaged files that the library wrote itself: spectra, stores, labellers, weights."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ import numpy as np
 import torch
 from frame import Case, damaged, part, pytest_generate_tests  # noqa: F401
 
-from spectra_kit import Spectrum, eigensolve, robust_laplacian
-from spectra_kit.geometry import sphere
+from spectra_kit import Spectrum, eigensolve, learning, robust_laplacian
+from spectra_kit._fingerprint import BLANK, sealed
+from spectra_kit.embeddings import Coordinates, ShapeDNA
+from spectra_kit.geometry import sphere, torus, write
 from spectra_kit.neo import NeoConfig, build_network
 from spectra_kit.neo.pretrained import load_pretrained, save_weights
+from spectra_kit.store import Plan, ShapeRecord, SpectrumStore, complete
 from spectra_kit.training import checkpoint
 
 
@@ -148,3 +151,167 @@ def test_training_checkpoint(case: Case) -> None:
     back = checkpoint.read(case.folder)
     assert back["state"] == content["state"]
     assert torch.equal(back["network"]["a"], content["network"]["a"])
+
+
+# --- stores ---------------------------------------------------------------------------------------
+
+_PLAN = Plan(k=5, descriptors=("hks", "dna"), operators=("stiffness", "gradient"))
+
+
+@cache
+def _store() -> tuple[dict[str, bytes], ShapeRecord]:
+    """The files of a store of two shapes and a map, and the record of the first."""
+    with TemporaryDirectory() as folder:
+        store = SpectrumStore(Path(folder, "store"))
+        records = []
+        for name in ("a", "b"):
+            write(sphere(subdivisions=1).geometry, Path(folder, f"{name}.off"))
+            records.append(complete(store, name, Path(folder, f"{name}.off"), _PLAN).record)
+        store.keep_map(records[0].spectrum, "0" * 32, {"k": 5}, {"point_map": np.arange(42)})
+        entries = {
+            str(e.path.relative_to(store.path)): e.path.read_bytes() for e in store.entries()
+        }
+        return entries, records[0]
+
+
+def _unpacked(folder: Path) -> SpectrumStore:
+    store = SpectrumStore(folder / "store")
+    for name, data in _store()[0].items():
+        path = Path(store.path) / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+    for name in ("a", "b"):
+        write(sphere(subdivisions=1).geometry, folder / f"{name}.off")
+    return store
+
+
+def _used(store: SpectrumStore, folder: Path, bad: Path) -> None:
+    """A damaged entry is found, stops nothing, and is made good."""
+    whole, record = _store()
+    assert [one.path for one in store.verify()] == [bad]
+    if bad.suffix == ".json":
+        assert len([*store.records()]) == 1
+    assert complete(store, "a", folder / "a.off", _PLAN).record == record
+    assert [one.path for one in store.verify(remove=True)] in ([], [bad])
+    assert complete(store, "a", folder / "a.off", _PLAN).record == record
+    complete(store, "b", folder / "b.off", _PLAN)
+    assert store.verify() == []
+    for entry in store.entries():
+        assert entry.path.read_bytes() == whole[str(entry.path.relative_to(store.path))]
+
+
+@part()
+def test_store_record(case: Case) -> None:
+    store = _unpacked(case.folder)
+    records = [entry.path for entry in store.entries("records")]
+    path = records[case.rng.integers(len(records))]
+    whole = path.read_bytes()
+    path.write_bytes(damaged(case.rng, whole))
+    if path.read_bytes() != whole:
+        _used(store, case.folder, path)
+
+
+@part()
+def test_store_entry(case: Case) -> None:
+    """All but what is behind the end of a zip, and between its members, is looked at."""
+    store = _unpacked(case.folder)
+    entries = [entry.path for entry in store.entries() if entry.kind != "records"]
+    path = entries[case.rng.integers(len(entries))]
+    path.write_bytes(damaged(case.rng, path.read_bytes()))
+    if store.verify():
+        found = store.verify(remove=True)
+        assert [one.path for one in found] == [path]
+        assert not path.exists()
+    assert complete(store, "a", case.folder / "a.off", _PLAN).record == _store()[1]
+    assert store.verify() == []
+
+
+@part()
+def test_edited_store_record(case: Case) -> None:
+    """Fields that somebody changed, checksum and all, are refused or can be worked with."""
+    store = _unpacked(case.folder)
+    path = next(store.entries("records")).path
+    content = json.loads(path.read_text())
+    for _ in range(case.rng.integers(1, 4)):
+        _edit(case.rng, content)
+    content = {"sha256": BLANK, **{k: v for k, v in content.items() if k != "sha256"}}
+    path.write_bytes(sealed(json.dumps(content).encode()))
+    for record in store.records():
+        repr(record)
+        store.sizes(record)
+    store.verify()
+    for name in ("a", "b"):
+        complete(store, name, case.folder / f"{name}.off", _PLAN)
+
+
+# --- labellers and indexes ------------------------------------------------------------------------
+
+
+@cache
+def _learned() -> dict[str, tuple[bytes, Any]]:
+    """Files of a segmenter, a classifier and an index, and what each tells of a ball."""
+    ball, ring = sphere(subdivisions=2).geometry, torus(n=400).geometry
+    dna = learning.Recipe(embeddings=(ShapeDNA(count=8),), k=16)
+    upright = learning.Recipe(embeddings=(Coordinates(),), upright=True)
+    found = {
+        "segmenter": learning.train_segmenter(
+            [ball],
+            [(ball.points[:, 2] > 0).astype(int)],
+            recipe=upright,
+            method=learning.PointMLP(width=8),
+            training=learning.Training(epochs=2),
+        ),
+        "classifier": learning.train_classifier(
+            [ball, ring], [0, 1], recipe=dna, method=learning.NearestNeighbour()
+        ),
+    }
+    with TemporaryDirectory() as folder:
+        for name, labeller in found.items():
+            learning.save_labeller(Path(folder, name), labeller)
+        for name, shape in (("ball", ball), ("ring", ring)):
+            write(shape, Path(folder, f"{name}.off"))
+        learning.index_folder(folder, dna).save(Path(folder, "index"))
+        names = ("segmenter", "classifier", "index")
+        return {
+            name: (Path(folder, name).read_bytes(), _told(Path(folder, name))) for name in names
+        }
+
+
+def _told(path: Path) -> Any:
+    """What a file of learning says of a ball."""
+    ball = sphere(subdivisions=2).geometry
+    if path.name == "index":
+        return learning.ShapeIndex.load(path).nearest(ball)
+    labeller = learning.load_labeller(path)
+    if isinstance(labeller, learning.Segmenter):
+        return labeller.segment(ball).scores.tolist()
+    return labeller.classify(ball).scores.tolist()
+
+
+def _learned_file(case: Case) -> tuple[Path, bytes, Any]:
+    name = str(case.rng.choice([*_learned()]))
+    return case.folder / name, *_learned()[name]
+
+
+@part()
+def test_saved_labeller_or_index(case: Case) -> None:
+    path, data, told = _learned_file(case)
+    path.write_bytes(damaged(case.rng, data))
+    assert _told(path) == told
+
+
+@part()
+def test_edited_labeller_or_index(case: Case) -> None:
+    """Fields that somebody changed, checksum and all, are refused or can be worked with."""
+    path, data, _ = _learned_file(case)
+    start = 8 + int.from_bytes(data[:8], "little")
+    header = json.loads(data[8:start])
+    content = json.loads(header["__metadata__"]["spectra_kit.learning"])
+    for _ in range(case.rng.integers(1, 4)):
+        _edit(case.rng, content)
+    content = {"sha256": BLANK, **{k: v for k, v in content.items() if k != "sha256"}}
+    header["__metadata__"]["spectra_kit.learning"] = json.dumps(content)
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 8)
+    path.write_bytes(sealed(len(text).to_bytes(8, "little") + text + data[start:]))
+    _told(path)

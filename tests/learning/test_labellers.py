@@ -1,12 +1,18 @@
 """Classifiers and segmenters: what they learn, carry, save, resume and refuse."""
 
+import json
 import sys
+import time
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 import torch
+from conftest import refused
+from safetensors import safe_open
+from safetensors.torch import save
 
+from spectra_kit._fingerprint import sealed
 from spectra_kit.eigensolvers import Neo
 from spectra_kit.embeddings import (
     Coordinates,
@@ -25,6 +31,7 @@ from spectra_kit.learning import (
     PointMLP,
     PointNet,
     Recipe,
+    ShapeIndex,
     SupportVectors,
     Training,
     load_labeller,
@@ -353,6 +360,121 @@ def test_a_damaged_file_is_refused(shapes, tmp_path, cut):
     path.write_bytes(path.read_bytes()[:cut])
     with pytest.raises(InvalidFileError):
         load_labeller(path)
+
+
+def rewritten(path, change, *, seal=True):
+    """Write a file of learning again with what `change` does to its content and tensors."""
+    with safe_open(path, "pt") as file:
+        content = json.loads(file.metadata()["spectra_kit.learning"])
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    content["sha256"] = "0" * 64
+    change(content, tensors)
+    data = save(tensors, {"spectra_kit.learning": json.dumps(content)})
+    path.write_bytes(sealed(data) if seal else data)
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """Files of a segmenter, of a classifier by a head, and of an index."""
+    folder, ball = tmp_path_factory.mktemp("saved"), sphere(subdivisions=2).geometry
+    recipe = Recipe(embeddings=(Coordinates(),), upright=True)
+    segmenter = train_segmenter(
+        [ball], [north(ball)], recipe=recipe, method=PointMLP(width=8), training=Training(epochs=1)
+    )
+    save_labeller(folder / "segmenter.safetensors", segmenter)
+    both = [ball, torus(n=400).geometry]
+    classifier = train_classifier(both, [0, 1], recipe=DNA, method=NearestNeighbour())
+    save_labeller(folder / "classifier.safetensors", classifier)
+    ShapeIndex(DNA, ("a", "b"), ("c", "d"), np.eye(2)).save(folder / "index.safetensors")
+    return folder
+
+
+@pytest.mark.parametrize("name", ["segmenter", "classifier", "index"])
+def test_no_bit_turns_unseen(saved, tmp_path, name):
+    load = ShapeIndex.load if name == "index" else load_labeller
+    data, path = (saved / f"{name}.safetensors").read_bytes(), tmp_path / "a.safetensors"
+    rng = np.random.default_rng(0)
+    for place in [*rng.integers(8, len(data), 40), len(data) - 1]:
+        changed = bytearray(data)
+        changed[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(changed)
+        with pytest.raises(InvalidFileError, match=str(path)):
+            load(path)
+    path.write_bytes(data)
+    load(path)
+
+
+@pytest.mark.parametrize("name", ["segmenter", "classifier", "index"])
+def test_files_of_release_0_2_0_are_read_without_a_checksum(saved, tmp_path, name):
+    path = tmp_path / "a.safetensors"
+    path.write_bytes((saved / f"{name}.safetensors").read_bytes())
+
+    def old(content, _):
+        del content["sha256"]
+        content["format"] = 1
+
+    rewritten(path, old, seal=False)
+    (ShapeIndex.load if name == "index" else load_labeller)(path)
+    rewritten(path, lambda content, _: content.update(format=2, sha256=None), seal=False)
+    with pytest.raises(InvalidFileError, match="another checksum than it says"):
+        (ShapeIndex.load if name == "index" else load_labeller)(path)
+
+
+def method(**options):
+    return lambda content, _: content["method"].update(options)
+
+
+def inputs(count):
+    return lambda content, _: content.update({"network inputs": count})
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "problem"),
+    [
+        ("segmenter", method(depth=10**5), "`depth` must be at most 16, the tensors there are"),
+        ("segmenter", method(depth=10**9), "`depth` must be at most 16, the tensors there are"),
+        ("segmenter", method(depth=2), "`tensors` must be those of the method"),
+        ("segmenter", method(width=9), "`tensors` must be those of the method"),
+        ("segmenter", method(width=10**9), "tensors"),
+        ("segmenter", method(width=-8), "`width` must be at least 1"),
+        ("segmenter", inputs(10**9), "`tensors` must be those of the method"),
+        ("segmenter", inputs("3"), "`inputs` must be an integer"),
+        ("segmenter", method(type="PointNet"), "not a whole labeller"),
+        ("segmenter", method(type="DiffusionNet"), "`tensors` must be those of the method"),
+        ("segmenter", method(type="Recipe"), "not a whole labeller"),
+        ("segmenter", lambda content, _: content.update(kind="Judge"), "not a whole labeller"),
+        ("segmenter", lambda content, _: content["names"].append("c"), "`tensors` must be those"),
+        ("segmenter", lambda _, t: t.update(more=t["mean"] + 0), "`tensors` must be those"),
+        ("segmenter", lambda _, t: t["mean"].fill_(torch.nan), "`tensors` must be finite"),
+        ("classifier", method(neighbours=9), "`vectors` must have 9 rows or more"),
+        ("classifier", lambda content, _: content["recipe"].update(k=-6), "`k` must be at least 1"),
+        ("classifier", lambda _, t: t["labels"].add_(64), "`labels` must be in [0, 2), got"),
+        ("classifier", lambda _, t: t["labels"].sub_(1), "`labels` must be in [0, 2), got -1"),
+        ("classifier", lambda _, t: t.update(labels=t["labels"] * 0.5), "`labels` must hold int"),
+        ("classifier", lambda _, t: t.update(labels=t["labels"][:1]), "must be 2 integers"),
+        ("classifier", lambda _, t: t.pop("vectors"), "not a whole labeller"),
+        ("classifier", lambda content, _: content["names"].pop(), "in [0, 1)"),
+        ("index", lambda _, t: t.update(vectors=t["vectors"][:1]), "`vectors` must have 2 rows"),
+        ("index", lambda content, _: content.update(names="ab"), "`names` must"),
+        ("index", lambda content, _: content["recipe"].update(k=0), "`k` must be at least 1"),
+    ],
+)  # fmt: skip
+def test_files_that_say_what_cannot_be_are_refused_at_once(saved, tmp_path, name, change, problem):
+    path = tmp_path / "a.safetensors"
+    path.write_bytes((saved / f"{name}.safetensors").read_bytes())
+    rewritten(path, change)
+    start = time.process_time()
+    with pytest.raises(InvalidFileError) as caught:
+        (ShapeIndex.load if name == "index" else load_labeller)(path)
+    assert time.process_time() - start < 1
+    assert str(caught.value).startswith(f"{path}: ")
+    assert problem in str(caught.value)
+
+
+def test_an_index_of_other_columns_than_its_recipe_gives(saved, tmp_path):
+    index = ShapeIndex.load(saved / "index.safetensors")
+    refused("recipe", "give as many numbers as the index has columns, 2", index.nearest,
+            creature(600))  # fmt: skip
 
 
 def test_weights_are_no_labeller(tmp_path):

@@ -13,6 +13,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from spectra_kit.linalg.threads import (
+    _quota,
     blas_threads_for,
     in_threads,
     single_threaded_blas,
@@ -135,3 +136,28 @@ def test_after_a_failure_nothing_new_begins(monkeypatch):
     with pytest.raises(ValueError, match="the first"):
         in_threads(task, ((i,) for i in range(100)))
     assert len(begun) < 10
+
+
+@pytest.mark.parametrize(
+    ("group", "files", "cores"),
+    [
+        ("0::/", {"cpu.max": "150000 100000\n"}, 1.5),
+        ("0::/", {"cpu.max": "max 100000\n"}, np.inf),
+        ("0::/job/step", {"job/step/cpu.max": "max 100000", "job/cpu.max": "200000 100000"}, 2),
+        ("0::/job/step", {"job/step/cpu.max": "50000 100000", "job/cpu.max": "max 100000"}, 0.5),
+        ("2:cpu,cpuacct:/job", {"cpu,cpuacct/job/cpu.cfs_quota_us": "300000",
+                                "cpu,cpuacct/job/cpu.cfs_period_us": "100000"}, 3),
+        ("2:cpu:/a\n1:memory:/a", {"cpu/a/cpu.cfs_quota_us": "-1",
+                                   "cpu/a/cpu.cfs_period_us": "100000"}, np.inf),
+        ("3:cpuset:/a\n0::/a", {"a/cpu.max": "no number"}, np.inf),
+        (None, {}, np.inf),
+    ],
+)  # fmt: skip
+def test_the_cores_of_a_group_are_counted(tmp_path, group, files, cores):
+    own = tmp_path / "cgroup"
+    if group is not None:
+        own.write_text(group + "\n")
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    assert _quota(tmp_path, own) == cores

@@ -2,6 +2,7 @@
 
 import json
 import re
+import time
 from dataclasses import asdict
 
 import numpy as np
@@ -98,6 +99,28 @@ def test_what_does_not_fit_together_is_refused(path, change, content, told):
     save_file(tensors, path, metadata=None if content is None else {"spectra_kit.neo": content})
     with pytest.raises(WeightsError, match=re.escape(told)):
         load_pretrained(path)
+
+
+@pytest.mark.parametrize(
+    "sizes",
+    [
+        {"depth": 10**9},
+        {"width": 10**9},
+        {"m": 10**12},
+        {"m": 10**9, "waves": 10**8},
+        {"latents": 10**15},
+        {"heads": 10**9, "head_width": 10**10},
+        {"head_width": 10**6},
+    ],
+    ids=str,
+)
+def test_sizes_that_no_tensor_has_are_refused_before_anything_is_built(path, sizes):
+    content = json.dumps({"record": {}, "config": asdict(TINY) | sizes})
+    save_file(load_file(path), path, metadata={"spectra_kit.neo": content})
+    start = time.process_time()
+    with pytest.raises(WeightsError, match="must hold the tensors of its configuration"):
+        load_pretrained(path)
+    assert time.process_time() - start < 1
 
 
 def test_a_record_must_be_json_and_a_failed_write_leaves_the_old_file(path, network):

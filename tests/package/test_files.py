@@ -10,11 +10,14 @@ import threading
 from pathlib import Path
 
 import pytest
+import torch
 
 from spectra_kit import Spectrum, eigensolve, robust_laplacian, write
 from spectra_kit._files import atomic_path, temporary_folder
+from spectra_kit.batch.table import write as write_rows
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere
+from spectra_kit.learning import _files as learning_files
 
 posix = pytest.mark.skipif(os.name != "posix", reason="pipes and rights are those of POSIX")
 
@@ -152,3 +155,31 @@ def test_a_temporary_folder_that_cannot_be_made(tmp_path):
         pass
     with pytest.raises(InvalidInputError, match="does not exist"):
         put(tmp_path / "file.txt", "text")
+
+
+@posix
+@pytest.mark.parametrize("written", ["file", "spectrum", "labeller", "table", "page"])
+def test_a_full_disk_is_told_with_the_file(tmp_path, written):
+    """Not with one that nobody has heard of, and not with none."""
+    resource = pytest.importorskip("resource", reason="limits of files are Unix's")
+    modes = eigensolve(robust_laplacian(sphere(subdivisions=2).geometry), 12)
+    path = tmp_path / {"spectrum": "a.npz", "page": "a.png"}.get(written, "a.txt")
+    write_it = {
+        "file": lambda: put(path, "text" * 10_000),
+        "spectrum": lambda: modes.save(path),
+        "labeller": lambda: learning_files.write(path, {}, {"a": torch.zeros(9_999)}),
+        "table": lambda: write_rows(path, ["a"], [{"a": "text"}] * 9_999),
+        "page": lambda: modes.plot(path),
+    }[written]
+    write_it()
+    before, (_, hard) = path.read_bytes(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (5_000, hard))
+    try:
+        with pytest.raises(OSError, match="File too large") as error:
+            write_it()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
+    assert error.value.filename == str(path)
+    assert str(path) in str(error.value)
+    assert path.read_bytes() == before
+    assert os.listdir(tmp_path) == [path.name]

@@ -21,6 +21,7 @@ import torch
 from conftest import bumpy, creature, refused
 
 import spectra_kit as sk
+from spectra_kit._fingerprint import facts_digest
 from spectra_kit.catalogue import DESCRIPTORS
 from spectra_kit.errors import (
     DamagedEntryWarning,
@@ -245,6 +246,93 @@ def test_an_entry_under_another_name_is_found(filled, kind):
     assert told[-1] == (len(told), len(told))
 
 
+RECORDS = {
+    "a digit of an eigenvalue": ('"eigenvalues": [0.', '"eigenvalues": [9.'),
+    "a word that is none": ('"kind": "mesh"', '"kind": "mdsh"'),
+    "another word": ('"level": "verified"', '"level": "whatever"'),
+    "a number that is none": ('"points": ', '"points": -'),
+    "a key": ('"spectrum": "', '"spectrum": "0'),
+    "a field": ('"area"', '"arez"'),
+    "a list for a text": ('"problems": []', '"problems": {}'),
+    "the checksum's name": ('"sha256"', '"sha255"'),
+    "no object": ("{", "[{"),
+}
+
+
+@pytest.mark.parametrize(("old", "new"), RECORDS.values(), ids=RECORDS)
+def test_one_bad_record_stops_nothing(filled, old, new):
+    """It is made again by a run, left out by lists, named and taken out by `verify`."""
+    store, again = filled
+    path, before = next(store.entries("records")).path, content(store.path)
+    assert old in path.read_text()
+    bad = path.read_text().replace(old, new, 1)
+    path.write_text(bad)
+    with pytest.warns(DamagedEntryWarning, match=f"{path} is damaged and left out"):
+        assert list(store.records()) == []
+    with pytest.warns(DamagedEntryWarning, match="left out"):
+        assert store.clean() == []
+    with pytest.raises(InvalidFileError, match=str(path)):  # nobody knows what it has named
+        store.clean(unnamed=True)
+    done = again()
+    assert [str(path) in text for text in done.replaced] == [True]
+    assert (done.computed, content(store.path)) == (False, before)
+    path.write_text(bad)
+    assert [one.path for one in store.verify(remove=True)] == [path]
+    assert store.verify() == []
+    assert again().record == next(store.records())
+
+
+def test_records_of_an_earlier_release_have_no_checksum(filled):
+    store, again = filled
+    path = next(store.entries("records")).path
+    bare = json.loads(path.read_text())
+    del bare["sha256"]
+    path.write_text(json.dumps(bare))
+    assert len(store.verify()) == 1  # this release writes none without
+    again()
+    bare["facts"]["release"] = "0.1.0"
+    key = facts_digest(store_files.record_facts(bare["name"], bare["facts"]))
+    old = path.parents[1] / key[:2] / f"{key}.json"
+    old.parent.mkdir(exist_ok=True)
+    old.write_text(json.dumps(bare))
+    assert store.verify() == []
+    assert len(list(store.records())) == 2
+    assert store.clean() == [old]
+
+
+@pytest.mark.parametrize("kind", ["spectra", "descriptors", "operators", "maps", "records"])
+def test_the_entry_of_one_under_the_name_of_another_is_not_handed_out(filled, tmp_path, kind):
+    store, _ = filled
+    plan = Plan(k=12, descriptors=("hks",), operators=("stiffness",))
+    write(creature(600), tmp_path / "other.off")
+    spectra = [
+        complete(store, name, tmp_path / f"{name}.off", plan).record.spectrum
+        for name in ("bumpy", "other")
+    ]
+    for ends in (spectra, spectra[::-1]):
+        store.keep_map(*ends, {"k": 12}, {"point_map": np.arange(3)})
+    one, two = [*store.entries(kind)][:2]
+    before = content(store.path)
+    one.path.write_bytes(two.path.read_bytes())
+    loading = {
+        "spectra": store.load,
+        "descriptors": store.load_descriptor,
+        "operators": store.load_operator,
+        "maps": store.load_map,
+        "records": lambda _: store_files.read_record(one.path),
+    }
+    with pytest.raises(InvalidFileError, match="has another hash than its name"):
+        loading[kind](one.key)
+    assert [found.path for found in store.verify()] == [one.path]
+    if kind == "spectra":
+        shapes = [store.shape(entry.key) for entry in store.entries("shapes")]
+        with pytest.warns(DamagedEntryWarning, match=one.key):
+            values = [store.spectrum(shape, plan).eigenvalues for shape in shapes]
+        for shape, found in zip(shapes, values, strict=True):
+            np.testing.assert_allclose(found, sk.spectrum(shape, 12).eigenvalues, atol=1e-9)
+        assert content(store.path) == before
+
+
 def test_verify_without_a_wish_removes_nothing(filled):
     store, _ = filled
     for entry in store.entries():
@@ -339,6 +427,18 @@ def test_what_others_take_out_is_no_damage(filled):
         last.path.unlink(missing_ok=True)
 
     assert store.verify(progress=take) == []
+
+
+@pytest.mark.parametrize("ahead", [-1e6, 1e6])
+def test_clean_goes_by_the_clock_of_the_files(store, monkeypatch, ahead):
+    """Another machine's may be days off."""
+    store.keep_shape(creature(600))
+    monkeypatch.setattr(time, "time", lambda: ahead + 1.8e9)
+    assert store.clean() == []
+    path = next(store.entries("shapes")).path
+    then = path.stat().st_mtime - 48 * 3600
+    os.utime(path, (then, then))
+    assert store.clean() == [path]
 
 
 def test_clean_removes_other_releases_orphans_and_leftovers(filled, monkeypatch):
@@ -436,7 +536,7 @@ def test_a_full_disk_leaves_nothing_half(store):
     before, (_, hard) = content(store.path), resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
     try:
-        with pytest.raises(StoreError, match="make room or get the right to write"):
+        with pytest.raises(StoreError, match=r"cannot write .*\.npz: .*; what is there stays"):
             store.spectrum(creature(600), PLAN)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))

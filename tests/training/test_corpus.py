@@ -400,13 +400,13 @@ def cut(path):
         (lambda shard: np.save(shard / "mass.npy", np.ones((2, 64))), "mass must be float32, got"),
         (
             lambda shard: np.save(shard / "points.npy", np.ones((2, 9, 3), "f4")),
-            "shard_0000: not a whole shard",
+            "shard_0000: `.*must .*; delete it, and generate",
         ),
         (
             lambda shard: [
                 np.save(path, np.load(path)[:0]) for path in sorted(shard.glob("*.npy"))
             ],
-            r"not a whole shard .*with s >= 1, got \(0, 64, 3\)",
+            r"shard_0000: .*with s >= 1, got \(0, 64, 3\)",
         ),
         (lambda shard: np.savez(shard / "labels.npz", a=[0.5, 1]), "a must be int64, got"),
         (lambda shard: np.save(shard / "starts.npy", [0]), "not a whole shard .*eigenvalues.npy"),

@@ -406,3 +406,47 @@ def test_a_signal_while_another_process_draws_ends_this_one_by_it(tmp_path):
         process.send_signal(signal.SIGTERM)
         assert process.communicate(timeout=30)[1] == ""
     assert process.returncode == -signal.SIGTERM
+
+
+BACKENDS = {
+    None: "",
+    "module://matplotlib_inline.backend_inline": "",
+    "module://nobody.has_this": "",
+    "no_backend": "",
+    "": "",
+    "TkAgg": "tkagg",
+    "svg": "svg",
+    "agg": "agg",
+}
+DRAWS = """
+import sys
+from spectra_kit import Spectrum, viz
+import numpy as np
+spectrum = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+assert "matplotlib" not in sys.modules
+viz.plot_spectrum(sys.argv[1], spectrum)
+viz.colours.error_colours(np.ones(3), 1.0)
+import matplotlib
+print(dict.__getitem__(matplotlib.rcParams, "backend"))
+"""
+
+
+@pytest.mark.parametrize("backend", BACKENDS, ids=str)
+def test_pictures_need_no_backend_and_leave_it_as_it_is(tmp_path, backend):
+    """As it is where Matplotlib takes it; where it does not, it is nobody's."""
+    kept = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
+    environment = kept if backend is None else kept | {"MPLBACKEND": backend}
+    run = subprocess.run(
+        [sys.executable, "-c", DRAWS, str(tmp_path / "a.png")], env=environment, text=True,
+        capture_output=True, check=True,
+    )  # fmt: skip
+    assert (tmp_path / "a.png").stat().st_size > 1000
+    if BACKENDS[backend]:
+        assert run.stdout.strip().lower() == BACKENDS[backend]
+
+
+def test_a_backend_that_was_chosen_stays(tmp_path):
+    matplotlib = pytest.importorskip("matplotlib")
+    with matplotlib.rc_context({"backend": "svg"}):
+        viz.plot_spectrum(tmp_path / "a.png", SPECTRUM)
+        assert matplotlib.rcParams["backend"] == "svg"
