@@ -24,6 +24,7 @@ _OPTIONS = {
     "mesh.without_duplicate_faces()": "--repair",
     "mesh.with_merged_vertices()": "--repair",
     "cloud.without_duplicates()": "--repair",
+    "exact_distances": "--method auto",
     **{f"{name}_laplacian": f"--operator {name}" for name in OPERATORS},
     **{name.capitalize(): f"--solver {name}" for name in SOLVERS},
     # What no command can be told.

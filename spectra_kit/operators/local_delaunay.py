@@ -83,7 +83,7 @@ class _Stars(NamedTuple):
     """Spread of the neighbours across to that along the direction of most: 0 on a line."""
 
     def only(self, mask: Bools) -> _Stars:
-        return _Stars(*(array[mask] for array in self))
+        return _Stars._make(array[mask] for array in self)
 
     def triangles(self) -> Ints:
         counts = np.where(self.closed, self.sizes, np.maximum(self.sizes - 1, 0))
