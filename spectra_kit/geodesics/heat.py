@@ -500,7 +500,8 @@ def _from_sources(potential: Floats, sources: Sources, labels: Ints) -> Floats:
 def _mean_error(heat: Floats, exact: Floats) -> float:
     """Return the mean relative error over points that are reached, sources aside."""
     there = np.isfinite(exact) & (exact > 0)
-    return float(np.mean(np.abs(heat - exact)[there] / exact[there])) if there.any() else 0.0
+    truth = exact[there]
+    return float(np.mean(np.abs(heat[there] - truth) / truth)) if len(truth) else 0.0
 
 
 def _cold() -> InvalidInputError:

@@ -21,6 +21,7 @@ from spectra_kit._validate import (
 )
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.operators._parts import warn_of_near_parts
 from spectra_kit.operators.checks import (
     check_cloud_usable,
     check_faces_usable,
@@ -262,6 +263,8 @@ def intrinsic_delaunay(
     laplacian = Laplacian(
         glued.stiffness, glued.mass, geometry.points, operator=operator, seconds=clock.total
     )
+    if not isinstance(geometry, TriangleMesh):
+        warn_of_near_parts(laplacian, neighbors)
     return IntrinsicTriangulation(
         glued.corners, glued.lengths, 1 / glued.copies, glued.boundary, laplacian
     )

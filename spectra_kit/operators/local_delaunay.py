@@ -16,9 +16,11 @@ Ints = NDArray[np.int32]
 
 _BLOCK = 16_384  # points of one task: fixed, so that nothing depends on the number of threads
 _TIE = 1e-7  # weight of a point, of its squared distance to the nearest: decides between diagonals
-# Neighbours on a line have no spread across it: on rings at most 0.04 of that along, on 26 models,
-# random points and boundaries at least 0.087, the least of 600,000 points.
-_LINE = 0.05
+# Neighbours on a line spread across it by 0.04 of what they do along it on exact rings, by 0.11 on
+# noisy ones; random points and boundaries, and 26 models, by 0.087 at least of 600,000 points.
+_LINE, _THICK = 0.05, 0.12
+# Half of the neighbours are nearer than 0.71 of the last on a plane, than 0.5 along a curve.
+_HALF = 0.6
 _WIDEST = 960  # neighbours: lines 100 times further apart than the points on them
 _ENTRIES = _BLOCK * 32  # neighbours of points that are held at once
 _SMALLEST = 1e-150  # distance of two points, in the unit of the cloud: its square must be a number
@@ -37,7 +39,7 @@ def local_triangles(points: Floats, n_neighbors: int) -> tuple[Ints, Bools, Floa
     """
     tree = cKDTree(points)
     n = len(points)
-    neighbors, nearest, farthest = _nearest(tree, np.arange(n), n_neighbors)
+    neighbors, nearest, _, farthest = _nearest(tree, np.arange(n), n_neighbors)
     if nearest.min() < _SMALLEST:
         raise InvalidInputError(
             "geometry",
@@ -48,28 +50,22 @@ def local_triangles(points: Floats, n_neighbors: int) -> tuple[Ints, Bools, Floa
     # Random but fixed: all stars decide alike between the diagonals of a square.
     ties = _TIE * nearest**2 * np.random.default_rng(0).random(n)
     stars = _stars(points, ties, np.arange(n), neighbors)
-    closed, chosen = stars.closed, []
+    closed, kept, wider = stars.closed.copy(), np.ones(n, dtype=bool), []
     # Points scanned in lines have neighbours on their own line alone, which tell no plane: more
     # of them, until there is a plane and the star closes in it, or does not close once more.
-    asked, flat = np.flatnonzero(stars.width < _LINE), np.zeros(n, dtype=bool)
+    asked, plane = np.flatnonzero(stars.lined), np.zeros(n, dtype=bool)
     while len(asked) and n_neighbors < min(_WIDEST, n - 1):
         n_neighbors = min(2 * n_neighbors, n - 1)
-        rest = []
         for rows in np.array_split(asked, -(-len(asked) * n_neighbors // _ENTRIES)):
-            near, _, reach = _nearest(tree, rows, n_neighbors)
+            near, _, middle, reach = _nearest(tree, rows, n_neighbors)
             wide = _stars(points, ties, rows, near)
-            plane = wide.width >= _LINE
-            done = plane & (wide.closed | flat[rows])
-            flat[rows] = plane
-            chosen.append(wide.only(done))
+            flat = ~wide.lined & (middle > _HALF * reach)
+            done = flat & (wide.closed | plane[rows])
+            plane[rows], kept[rows] = flat, ~done
             closed[rows[done]], farthest[rows[done]] = wide.closed[done], reach[done]
-            rest.append(rows[~done])
-        asked = np.concatenate(rest)
-    if chosen:
-        kept = np.ones(n, dtype=bool)
-        kept[np.concatenate([one.rows for one in chosen])] = False
-        chosen.insert(0, stars.only(kept))
-    return np.concatenate([one.triangles() for one in chosen or [stars]]), closed, farthest
+            wider.append(wide.triangles(done))
+        asked = asked[kept[asked]]
+    return np.concatenate([stars.triangles(kept), *wider]), closed, farthest
 
 
 class _Stars(NamedTuple):
@@ -79,28 +75,27 @@ class _Stars(NamedTuple):
     links: Ints
     sizes: Ints
     closed: Bools
-    width: Floats
-    """Spread of the neighbours across to that along the direction of most: 0 on a line."""
+    lined: Bools
+    """Whether the neighbours lie on a line."""
 
-    def only(self, mask: Bools) -> _Stars:
-        return _Stars._make(array[mask] for array in self)
+    def triangles(self, of: Bools) -> Ints:
+        """Return the triangles of those points."""
+        rows, links, sizes, closed, _ = (array[of] for array in self)
+        counts = np.where(closed, sizes, np.maximum(sizes - 1, 0))
+        owner = np.repeat(np.arange(len(rows)), counts)
+        corner = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
+        following = (corner + 1) % sizes[owner]
+        triangles = np.column_stack([rows[owner], links[owner, corner], links[owner, following]])
+        return triangles.astype(np.int32)
 
-    def triangles(self) -> Ints:
-        counts = np.where(self.closed, self.sizes, np.maximum(self.sizes - 1, 0))
-        place = np.repeat(np.arange(len(self.rows)), counts)
-        corner = np.arange(len(place)) - np.repeat(np.cumsum(counts) - counts, counts)
-        following = (corner + 1) % self.sizes[place]
-        ends = self.links[place, corner], self.links[place, following]
-        return np.column_stack([self.rows[place], *ends]).astype(np.int32)
 
-
-def _nearest(tree: cKDTree, rows: NDArray[np.int64], k: int) -> tuple[Ints, Floats, Floats]:
-    """Return the k neighbours (p, k) of some points, and how far the first and last are, (p,)."""
-    near, first, last = np.empty((len(rows), k), np.int32), np.empty(len(rows)), np.empty(len(rows))
+def _nearest(tree: cKDTree, rows: NDArray[np.int64], k: int) -> tuple[Ints, Floats, Floats, Floats]:
+    """Return the k neighbours (p, k) of some points; how far first, middle and last are, (p,)."""
+    near, distances = np.empty((len(rows), k), dtype=np.int32), np.empty((3, len(rows)))
     for b in (slice(*cut) for cut in ranges(len(rows), _BLOCK)):
         distance, index = tree.query(tree.data[rows[b]], k + 1, workers=thread_count())
-        near[b], first[b], last[b] = index[:, 1:], distance[:, 1], distance[:, -1]
-    return near, first, last
+        near[b], distances[:, b] = index[:, 1:], distance[:, [1, k // 2, k]].T
+    return near, *distances
 
 
 def _stars(points: Floats, ties: Floats, rows: NDArray[np.int64], neighbors: Ints) -> _Stars:
@@ -112,14 +107,14 @@ def _stars(points: Floats, ties: Floats, rows: NDArray[np.int64], neighbors: Int
         np.empty_like(neighbors),
         np.empty(p, dtype=np.int32),
         np.empty(p, dtype=bool),
-        np.empty(p),
+        np.empty(p, dtype=bool),
     )
 
     def block(b: slice) -> None:
         near = neighbors[b]
         offsets = points[near] - points[rows[b], None]
         z = np.square(offsets).sum(axis=2)
-        u, v, found.width[b] = _tangents(offsets, z)
+        u, v, found.lined[b] = _tangents(offsets, z)
         z += ties[rows[b], None] - ties[near]
         x, y = (np.einsum("pkr,pr->pk", offsets, axis) / z for axis in (u, v))
         hulls(x, y, near, found.links[b], found.sizes[b], found.closed[b])
@@ -128,10 +123,10 @@ def _stars(points: Floats, ties: Floats, rows: NDArray[np.int64], neighbors: Int
     return found
 
 
-def _tangents(offsets: Floats, squares: Floats) -> tuple[Floats, Floats, Floats]:
+def _tangents(offsets: Floats, squares: Floats) -> tuple[Floats, Floats, Bools]:
     """Return orthonormal frames (p, 3) of the planes fitted to points and their neighbours.
 
-    And the spread across to that along them (p,).
+    And whether the neighbours lie on a line, with no plane (p,).
 
     Weights ``(1 - (d / d_max)^2)^2`` fade the farthest out: more of the curvature stays local.
     """
@@ -144,4 +139,7 @@ def _tangents(offsets: Floats, squares: Floats) -> tuple[Floats, Floats, Floats]
     normals, along = axes[:, :, 0], axes[:, :, 2]
     largest = np.abs(normals).argmax(axis=1)[:, None]  # is positive: all flat stars turn alike
     normals = normals * np.sign(np.take_along_axis(normals, largest, axis=1))
-    return along, np.cross(normals, along), spreads[:, 1] / spreads[:, 2]
+    across, most = spreads[:, 1], spreads[:, 2]
+    # Noise spreads a line to either side alike.
+    lined = (across - spreads[:, 0] < _LINE * most) & (across < _THICK * most)
+    return along, np.cross(normals, along), lined
