@@ -250,8 +250,8 @@ class HeatGeodesics:
                 found |= zip(block, self._block(ready, [sources[i] for i in block]), strict=True)
         fields = [found[i] for i in range(len(sources))]
         for field in fields:
-            self._warn_of_blur(field)
-            self._warn_of_size(field)
+            if not self._warn_of_blur(field):
+                self._warn_of_size(field)
         return fields
 
     def _block(self, ready: _Ready, sources: Sequence[Sources]) -> list[DistanceField]:
@@ -310,12 +310,13 @@ class HeatGeodesics:
             },
         )
 
-    def _warn_of_blur(self, field: DistanceField) -> None:
+    def _warn_of_blur(self, field: DistanceField) -> bool:
         """Say so where many points are as near to a source as the heat step cannot see."""
         labels = self.triangulation.laplacian.component_labels
         blurred = int((field.distance < np.sqrt(self.time_steps)[labels]).sum())
-        spacing = self.triangulation.spacings[labels[field.sources.vertices[0]]]
-        if blurred > max(_BLURRED * field.reached.sum(), _NEAR * len(field.sources.vertices)):
+        few = max(_BLURRED * field.reached.sum(), _NEAR * len(field.sources.vertices))
+        if blurred > few:
+            spacing = self.triangulation.spacings[labels[field.sources.vertices[0]]]
             warn(
                 f"{blurred} of {field.reached.sum()} points are nearer to a source than the typical"
                 f" edge (of {spacing:.3g}) that sets the time of the heat step, so their distances"
@@ -323,6 +324,7 @@ class HeatGeodesics:
                 DoubtfulDistanceWarning,
                 advice="separate parts of very different size, or lower `time_coefficient`",
             )
+        return blurred > few
 
     def _warn_of_size(self, field: DistanceField) -> None:
         """Say so where triangles are too large for the heat method: measured once for each part.
