@@ -10,6 +10,7 @@ from spectra_kit._validate import quantity, warn
 from spectra_kit.errors import SplitSurfaceWarning
 from spectra_kit.operators.laplacian import Laplacian
 
+_FEW = 30  # neighbours on a plane: within three or four times their spacing
 # Spread across to that along, of the points of a part no further from one than the next part: a
 # line has none, and a third of a circle 0.08; half a disc has 0.28.
 _LINE = 0.15
@@ -19,8 +20,8 @@ _SEEN = 1000  # points of a part that tell its shape near one of them
 def warn_of_near_parts(laplacian: Laplacian, n_neighbors: int) -> None:
     """Say so where a cloud falls into parts that look like pieces or lines of one surface.
 
-    The next part is as near as the neighbours that were asked, or the part is a line, seen from so
-    far away.
+    The next part is no further than a few spacings of the points, or of the lines that they are on;
+    or the part is a line itself, seen from as far as the next one.
     """
     if laplacian.n_components == 1:
         return
@@ -31,11 +32,13 @@ def warn_of_near_parts(laplacian: Laplacian, n_neighbors: int) -> None:
     for part in np.split(order, np.cumsum(np.bincount(labels))[:-1]):
         offsets = points[part] - points[part[0]]  # that with the least gap comes first
         gap, distances = gaps[part[0]], np.linalg.norm(offsets, axis=1)
-        reach = np.partition(distances, k)[k] if (k := n_neighbors) < len(part) else np.inf
-        seen = offsets[distances <= gap]
-        seen = seen[:: -(-len(seen) // _SEEN)]
-        spreads = np.linalg.svd(seen - seen.mean(axis=0), compute_uv=False) ** 2
-        near += gap <= reach or spreads[1:2].sum() < _LINE * spreads[0]
+        offsets = offsets[np.argsort(distances)]
+        distances.sort()
+        few = _FEW
+        while few < len(part) and _is_line(offsets[: few + 1]):
+            few *= 2
+        few = min(few if few == _FEW else 4 * few, len(part) - 1)
+        near += gap <= distances[few] or _is_line(offsets[distances <= gap])
     if near:
         warn(
             f"the cloud falls into {laplacian.n_components:,} parts with an eigenvalue 0 each, and"
@@ -45,6 +48,12 @@ def warn_of_near_parts(laplacian: Laplacian, n_neighbors: int) -> None:
             advice=f"if they are one surface, raise `n_neighbors` above {n_neighbors}, or thin the"
             " points along their lines",
         )
+
+
+def _is_line(offsets: Floats) -> bool:
+    some = offsets[:: -(-len(offsets) // _SEEN)]
+    spreads = np.linalg.svd(some - some.mean(axis=0), compute_uv=False) ** 2
+    return bool(spreads[1:2].sum() <= _LINE * spreads[0])
 
 
 def _gaps(points: Floats, labels: Ints) -> Floats:

@@ -21,6 +21,7 @@ _TIE = 1e-7  # weight of a point, of its squared distance to the nearest: decide
 _LINE, _THICK = 0.05, 0.12
 # Half of the neighbours are nearer than 0.71 of the last on a plane, than 0.5 along a curve.
 _HALF = 0.6
+_PATIENCE = 2  # doublings after the first plane
 _WIDEST = 960  # neighbours: lines 100 times further apart than the points on them
 _ENTRIES = _BLOCK * 32  # neighbours of points that are held at once
 _SMALLEST = 1e-150  # distance of two points, in the unit of the cloud: its square must be a number
@@ -52,16 +53,17 @@ def local_triangles(points: Floats, n_neighbors: int) -> tuple[Ints, Bools, Floa
     stars = _stars(points, ties, np.arange(n), neighbors)
     closed, kept, wider = stars.closed.copy(), np.ones(n, dtype=bool), []
     # Points scanned in lines have neighbours on their own line alone, which tell no plane: more
-    # of them, until there is a plane and the star closes in it, or does not close once more.
-    asked, plane = np.flatnonzero(stars.lined), np.zeros(n, dtype=bool)
+    # of them, until there is a plane and the star closes in it. On a boundary it does not: there
+    # they look about three times as far as the next line is, as 30 neighbours elsewhere do.
+    asked, planes = np.flatnonzero(stars.lined), np.zeros(n, dtype=np.int8)
     while len(asked) and n_neighbors < min(_WIDEST, n - 1):
         n_neighbors = min(2 * n_neighbors, n - 1)
         for rows in np.array_split(asked, -(-len(asked) * n_neighbors // _ENTRIES)):
             near, _, middle, reach = _nearest(tree, rows, n_neighbors)
             wide = _stars(points, ties, rows, near)
-            flat = ~wide.lined & (middle > _HALF * reach)
-            done = flat & (wide.closed | plane[rows])
-            plane[rows], kept[rows] = flat, ~done
+            planes[rows] += ~wide.lined & (middle > _HALF * reach)
+            done = (planes[rows] > 0) & (wide.closed | (planes[rows] > _PATIENCE))
+            kept[rows] = ~done
             closed[rows[done]], farthest[rows[done]] = wide.closed[done], reach[done]
             wider.append(wide.triangles(done))
         asked = asked[kept[asked]]

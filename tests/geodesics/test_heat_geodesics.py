@@ -303,13 +303,22 @@ def flat_square(scale: float = 1.0) -> TriangleMesh:
     return TriangleMesh(corners, [[0, 1, 2], [0, 2, 3]])
 
 
+def bipyramid(sides: int) -> tuple[np.ndarray, list[list[int]]]:
+    """Two flat pyramids over a polygon, with needles for faces."""
+    turn = 2 * np.pi * np.arange(sides) / sides
+    rim = np.c_[5 * np.cos(turn), 5 * np.sin(turn), 0 * turn]
+    faces = [[i, (i + 1) % sides, sides] for i in range(sides)]
+    faces += [[(i + 1) % sides, i, sides + 1] for i in range(sides)]
+    return np.vstack([rim, [[0, 0, 0.2], [0, 0, -0.2]]]), faces
+
+
 COARSE = {
     "square": (flat_square(), [0, 1, np.sqrt(2), 1]),
     "a large square": (flat_square(1e6), [0, 1e6, np.sqrt(2) * 1e6, 1e6]),
     # A path to the far corner crosses two unfolded squares.
     "cube": (cube(), np.sqrt([0, 1, 1, 2, 1, 2, 2, 5])),
     "ball": (sphere(subdivisions=0).geometry, None),
-    "animal": (creature(80), None),
+    "bipyramid": (TriangleMesh(*bipyramid(5)), None),
 }
 
 

@@ -191,13 +191,6 @@ def test_points_along_lines_are_one_surface(name: str) -> None:
     assert found == pytest.approx(np.array(truth, dtype=float), rel=0.05, abs=1e-6)
 
 
-def test_what_was_found_from_few_neighbors_stays_where_more_are_no_better() -> None:
-    strip = np.random.default_rng(0).random((300, 3)) * [10, 0.08, 0]
-    few = delaunay_laplacian(PointCloud(strip))
-    assert few.area == pytest.approx(0.8, rel=0.1)
-    assert few.n_components == 1
-
-
 def test_parts_that_look_like_lines_of_one_surface_are_told() -> None:
     far = PointCloud(rings(3, 3000))  # each ring further from the next than its points are seen
     with pytest.warns(SplitSurfaceWarning, match="3 parts of them"):
