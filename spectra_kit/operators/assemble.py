@@ -289,6 +289,11 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     InvalidInputError
         If there are not more points than `n_neighbors`, or points coincide.
 
+    Warns
+    -----
+    SplitSurfaceWarning
+        If the points fall into parts that look like pieces, or lines, of one surface.
+
     Notes
     -----
     Weights ``W = exp(-d^2 / eps)`` with ``eps`` the squared median over points of the mean
