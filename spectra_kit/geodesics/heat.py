@@ -92,17 +92,17 @@ class HeatGeodesics:
     time_steps : ndarray of shape (n_components,)
         Of each component of `triangulation`, in length^2.
 
-    Warns
-    -----
-    DoubtfulDistanceWarning
-        If distances are blurred (see below), or a mesh of at most 2,000 vertices has such large
-        triangles that exact distances from the first source differ by more than 4 % in the mean.
-
     Raises
     ------
     InvalidInputError
         If an argument is of another kind, `spectrum` has another number of points, or
         `intrinsic_delaunay` refuses the geometry.
+
+    Warns
+    -----
+    DoubtfulDistanceWarning
+        If distances are blurred (see below), or a mesh of at most 2,000 vertices has such large
+        triangles that exact distances from the first source differ by more than 4 % in the mean.
 
     Notes
     -----
@@ -336,11 +336,14 @@ class HeatGeodesics:
         """Say so where triangles are too large for the heat method: measured once for each part.
 
         On meshes so small that exact distances cost little; on larger ones it does not happen, but
-        for triangles of very different size.
+        for triangles of very different size. Other options change distances on purpose.
         """
         labels = self.triangulation.laplacian.component_labels
         part = int(labels[field.sources.vertices[0]])
-        if not isinstance(self.geometry, TriangleMesh) or (labels == part).sum() > EXACT:
+        usual = self._time_coefficient <= 1 and self._boundary == "neumann"
+        if not (usual and isinstance(self.geometry, TriangleMesh)):
+            return
+        if (labels == part).sum() > EXACT:
             return
         if part not in self._errors:
             first = int(field.sources.vertices[0])

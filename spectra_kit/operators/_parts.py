@@ -11,6 +11,7 @@ from spectra_kit.errors import SplitSurfaceWarning
 from spectra_kit.operators.laplacian import Laplacian
 
 _FEW = 30  # neighbours on a plane: within three or four times their spacing
+_NEAR = 2  # times as far
 # Spread across to that along, of the points of a part no further from one than the next part: a
 # line has none, and a third of a circle 0.08; half a disc has 0.28.
 _LINE = 0.15
@@ -37,8 +38,8 @@ def warn_of_near_parts(laplacian: Laplacian, n_neighbors: int) -> None:
         few = _FEW
         while few < len(part) and _is_line(offsets[: few + 1]):
             few *= 2
-        few = min(few if few == _FEW else 4 * few, len(part) - 1)
-        near += gap <= distances[few] or _is_line(offsets[distances <= gap])
+        reach = _NEAR * distances[min(few, len(part) - 1)]
+        near += gap <= reach or _is_line(offsets[distances <= gap])
     if near:
         warn(
             f"the cloud falls into {laplacian.n_components:,} parts with an eigenvalue 0 each, and"

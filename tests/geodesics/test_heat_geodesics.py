@@ -1,6 +1,7 @@
 """The heat method: analytic truths, invariances, an independent library, and bad input."""
 
 import dataclasses
+from contextlib import nullcontext
 
 import numpy as np
 import potpourri3d as pp3d
@@ -223,7 +224,7 @@ def test_the_smallest_geometries(solver, boundary) -> None:
     for mesh in (triangle, tetrahedron):
         # Down the middle of each face: its height, as heat is the same at both ends of the side.
         heat = HeatGeodesics(mesh, solver=solver, boundary=boundary)
-        with too_large:
+        with too_large if boundary == "neumann" else nullcontext():
             assert heat.distance(0).distance[1:] == pytest.approx(np.sqrt(0.5))
 
 
