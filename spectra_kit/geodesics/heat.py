@@ -330,7 +330,7 @@ class HeatGeodesics:
                 DoubtfulDistanceWarning,
                 advice="separate parts of very different size, or lower `time_coefficient`",
             )
-        return blurred > few
+        return bool(blurred > few)
 
     def _warn_of_size(self, field: DistanceField) -> None:
         """Say so where triangles are too large for the heat method: measured once for each part.
