@@ -16,6 +16,7 @@ from spectra_kit.cli.progress import step
 from spectra_kit.cli.words import stem
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import DistanceField, FacePoint, HeatGeodesics, Iterative
+from spectra_kit.geodesics.heat import exact_field
 from spectra_kit.geodesics.sources import check_sources
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.geometry.formats import ply
@@ -68,15 +69,17 @@ def geodesic_distances(asked: program.Geodesic) -> None:
             time_coefficient=asked.time_coefficient,
             boundary=asked.heat_boundary,
         )
+        geodesics.geometry = geometry  # whose triangles it may doubt
+
+    def measure(some: list[setup.Source]) -> DistanceField:
+        exact = exact_field(geometry, some) if setup.may_be_exact(asked) else None
+        return geodesics.distance(check_sources(some, geometry)) if exact is None else exact
+
     with step("looking for the farthest points"):
-        sources = setup.with_farthest(
-            sources,
-            farthest,
-            lambda few: geodesics.distance(check_sources(few, geometry)).distance,
-        )
+        sources = setup.with_farthest(sources, farthest, lambda few: measure(few).distance)
     checked = check_sources(sources, geometry)
     with step(f"measuring the distance to {quantity(len(sources), 'source')}"):
-        field = geodesics.distance(checked)
+        field = measure(sources)
     compared = compare_solvers(asked, geometry, triangulation, checked) if asked.compare else []
     record = _record(asked, geometry, triangulation, sources, spectrum, field)
     record["spectrum_unused"] = unused or None
@@ -125,9 +128,10 @@ def _record(
         "choice": field.choice,
         "time_coefficient": asked.time_coefficient,
         "time_step": field.time_step,
-        "iterations": field.poisson.iterations,
-        "relative_residual": field.poisson.relative_residual,
-        "heat": {
+        "iterations": field.poisson and field.poisson.iterations,
+        "relative_residual": field.poisson and field.poisson.relative_residual,
+        "heat": field.heat
+        and {
             "method": field.heat.method,
             "iterations": field.heat.iterations,
             "backward_error": field.heat.backward_error,
@@ -152,15 +156,21 @@ def _facts(record: tables.Record) -> dict[str, object]:
     return {
         "sources": len(record["sources"]),
         "solver": record["choice"],
-        "time step": record["time_step"],
-        "iterations": record["iterations"],
-        "relative residual": f"{record['relative_residual']:.1e}",
+        **(_system(record) if record["heat"] else {}),
         "seconds": tables.seconds(record["seconds"]),
         **({"seconds of the spectrum": f"{modes['seconds']:.2f}"} if modes else {}),
         **({"spectrum": unused} if unused else {}),
         "largest distance": record["largest_distance"],
         "mean distance": record["mean_distance"],
         "points not reached": f"{record['points_not_reached']:,}",
+    }
+
+
+def _system(record: tables.Record) -> dict[str, object]:
+    return {
+        "time step": record["time_step"],
+        "iterations": record["iterations"],
+        "relative residual": f"{record['relative_residual']:.1e}",
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from spectra_kit.cli.solving import solve
 from spectra_kit.geodesics import Direct, HeatGeodesics, Iterative
 from spectra_kit.geodesics.sources import Sources
 from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.linalg.solution import LinearSolution
 from spectra_kit.operators import IntrinsicTriangulation
 from spectra_kit.spectra import Spectrum
 from spectra_kit.viz import SolverRun
@@ -153,7 +155,7 @@ def _ours(
     geodesics = HeatGeodesics(geometry, spectrum, solver=solver, time_coefficient=time_coefficient)
     field = geodesics.distance(sources)
     whole = time.perf_counter() - start
-    poisson, stages = field.poisson, dict(field.seconds)
+    poisson, stages = cast(LinearSolution, field.poisson), dict(field.seconds)
     # The curve begins after a start of its own, and ends when the step does.
     times = poisson.times + max(stages.pop("poisson") - float(poisson.times[-1]), 0.0)
     # What no stage claims is counted too.

@@ -53,6 +53,12 @@ def check_solver(asked: program.Geodesic) -> None:
         )
 
 
+def may_be_exact(asked: program.Geodesic) -> bool:
+    """Whether nothing is asked for that only the heat method has."""
+    heat = asked.compare or asked.spectrum or asked.solver or asked.heat_boundary != "neumann"
+    return asked.method == "auto" and asked.time_coefficient == 1 and not heat
+
+
 def linear_solver(asked: program.Geodesic, modes: int) -> Solver:
     """Return the solver that ``--method`` names, with so many modes at most."""
     rtol = asked.poisson_rtol

@@ -240,7 +240,8 @@ class _Heat(options.Command):
     method: Literal["auto", "direct", "iterative", "projected", "plain"] = "auto"
     """of the linear systems: direct, by a factor; or by conjugate gradients with incomplete
     Cholesky: plain, or with a coarse space of modes added (iterative) or projected out (projected)
-    (default: auto, direct where factors fit into memory)"""
+    (default: auto, none but exact distances on meshes of at most 2,000 vertices, and direct where
+    factors fit into memory)"""
     poisson_rtol: float = 1e-8
     """relative residual at which iterations stop"""
     time_coefficient: float = 1.0

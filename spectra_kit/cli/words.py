@@ -36,6 +36,7 @@ _OPTIONS = {
     "mesh.with_merged_vertices()": "--repair",
     "cloud.without_duplicates()": "--repair",
     "geometry.without_nan()": "--repair",
+    "exact_distances": "--method auto",
     **{f"{name}_laplacian": f"--operator {name}" for name in OPERATORS},
     **{name.capitalize(): f"--solver {name}" for name in SOLVERS},
     # What no command can be told.

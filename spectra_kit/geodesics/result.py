@@ -16,7 +16,7 @@ from spectra_kit._display import draw
 from spectra_kit._types import Floats
 from spectra_kit._validate import Rebuilt, frozen
 from spectra_kit.geodesics.heat_step import Heat
-from spectra_kit.geodesics.solvers import Direct, Iterative
+from spectra_kit.geodesics.solvers import Direct, Exact, Iterative
 from spectra_kit.geodesics.sources import Sources
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.linalg.solution import LinearSolution
@@ -25,7 +25,7 @@ from spectra_kit.linalg.solution import LinearSolution
 @checked
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class DistanceField(Rebuilt):
-    """The distance of each point to the nearest source, by the heat method.
+    """The distance of each point to the nearest source, by the heat method or exact.
 
     ``np.asarray(field)`` is `distance`.
 
@@ -35,19 +35,22 @@ class DistanceField(Rebuilt):
         In length; infinite on components without a source.
     sources : Sources
         Where it is measured from.
-    time_step : float
-        t of the heat step on the component of the first source, in length^2.
-    solver : Direct or Iterative
-        What solved the linear systems; ``coarse="none"`` where no modes served.
+    solver : Direct, Iterative or Exact
+        What solved the linear systems; ``coarse="none"`` where no modes served. `Exact` where
+        there were none: `exact_distances`.
     reason : str
         Why this one.
-    heat : Heat
-        The heat step.
-    poisson : LinearSolution
-        The Poisson step: its residuals, iterations and seconds.
     seconds : mapping of str to float
         Wall time of each stage: ``triangulation``, ``setup`` (factors, preconditioners), ``heat``,
-        ``directions``, ``poisson``. Triangulation and setup serve further sources too.
+        ``directions``, ``poisson``. Triangulation and setup serve further sources too. Or
+        ``exact``.
+    time_step : float or None
+        t of the heat step on the component of the first source, in length^2; None, as the next
+        two, where distances are exact.
+    heat : Heat or None
+        The heat step.
+    poisson : LinearSolution or None
+        The Poisson step: its residuals, iterations and seconds.
 
     Examples
     --------
@@ -61,12 +64,12 @@ class DistanceField(Rebuilt):
 
     distance: Floats
     sources: Sources
-    time_step: float
-    solver: Direct | Iterative
+    solver: Direct | Iterative | Exact
     reason: str
-    heat: Heat
-    poisson: LinearSolution
     seconds: Mapping[str, float]
+    time_step: float | None = None
+    heat: Heat | None = None
+    poisson: LinearSolution | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "distance", frozen(self.distance))
@@ -95,8 +98,9 @@ class DistanceField(Rebuilt):
 
     def __repr__(self) -> str:
         farthest = self.distance[self.reached].max()
+        iterations = f", iterations={self.poisson.iterations}" if self.poisson else ""
         return (
             f"DistanceField(n={len(self.distance)}, farthest={farthest:.4g},"
-            f" unreached={int((~self.reached).sum())}, choice={self.choice!r},"
-            f" iterations={self.poisson.iterations})"
+            f" unreached={int((~self.reached).sum())}, choice={self.choice!r}"
+            f"{iterations})"
         )

@@ -50,6 +50,22 @@ class Direct:
 
 @checked
 @dataclass(frozen=True, kw_only=True)
+class Exact:
+    """No linear system: `exact_distances`, which `geodesic_distance` takes on small meshes.
+
+    Examples
+    --------
+    >>> from spectra_kit.geodesics import Exact, geodesic_distance
+    >>> from spectra_kit.geometry import sphere
+    >>> geodesic_distance(sphere(subdivisions=3).geometry, 0).solver == Exact()
+    True
+    """
+
+    name = "exact"
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
 class Iterative:
     """Conjugate gradients with an incomplete factor, and with the modes of a spectrum beside it.
 

@@ -16,6 +16,7 @@ from spectra_kit._validate import check_count, quantity
 from spectra_kit.catalogue import OPERATORS
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.operators._parts import warn_of_near_parts
 from spectra_kit.operators.checks import (
     check_distinct,
     check_faces_usable,
@@ -288,6 +289,11 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     InvalidInputError
         If there are not more points than `n_neighbors`, or points coincide.
 
+    Warns
+    -----
+    SplitSurfaceWarning
+        If the points fall into parts that look like pieces, or lines, of one surface.
+
     Notes
     -----
     Weights ``W = exp(-d^2 / eps)`` with ``eps`` the squared median over points of the mean
@@ -332,10 +338,12 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     inverse_density = sparse.diags_array(1 / density)
     K = inverse_density @ W @ inverse_density
     mass = K.sum(axis=1)
-    return Laplacian(
+    built = Laplacian(
         sparse.diags_array(mass) - K,
         mass,
         geometry.points,
         operator=f"knn_laplacian(n_neighbors={n_neighbors})",
         seconds=clock.total,
     )
+    warn_of_near_parts(built, n_neighbors)
+    return built

@@ -21,6 +21,7 @@ from spectra_kit._validate import (
 )
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.operators._parts import warn_of_near_parts
 from spectra_kit.operators.checks import (
     check_cloud_usable,
     check_faces_usable,
@@ -208,7 +209,8 @@ def intrinsic_delaunay(
     n_neighbors : int, default 30
         Of a cloud: neighbours that define the tangent plane of a point and are candidates for its
         triangles; capped at n - 1. Fewer than 30 miss triangles of random points, more may bridge
-        a gap.
+        a gap. Where they lie on one line, as in rings, lines and slices of a scan, more of them
+        are asked by themselves, up to 960.
 
     Returns
     -------
@@ -225,6 +227,11 @@ def intrinsic_delaunay(
     ConvergenceError
         If the edge flips do not end, which rounding could do to a degenerate geometry; none is
         known.
+
+    Warns
+    -----
+    SplitSurfaceWarning
+        If a cloud falls into parts that look like pieces, or lines, of one surface.
 
     Notes
     -----
@@ -262,6 +269,8 @@ def intrinsic_delaunay(
     laplacian = Laplacian(
         glued.stiffness, glued.mass, geometry.points, operator=operator, seconds=clock.total
     )
+    if not isinstance(geometry, TriangleMesh):
+        warn_of_near_parts(laplacian, neighbors)
     return IntrinsicTriangulation(
         glued.corners, glued.lengths, 1 / glued.copies, glued.boundary, laplacian
     )

@@ -13,8 +13,14 @@ from spectra_kit.cli import geodesic, main
 from spectra_kit.cli.geodesic_setup import linear_solver, why_without_modes
 from spectra_kit.cli.program import parse
 from spectra_kit.eigensolvers import eigensolve
-from spectra_kit.geodesics import FacePoint, HeatGeodesics, Iterative, nearest_source
-from spectra_kit.geometry import TriangleMesh, read, write
+from spectra_kit.geodesics import (
+    FacePoint,
+    HeatGeodesics,
+    Iterative,
+    exact_distances,
+    nearest_source,
+)
+from spectra_kit.geometry import TriangleMesh, read, sphere, write
 from spectra_kit.operators import intrinsic_delaunay
 from spectra_kit.viz.colours import UNKNOWN
 
@@ -50,14 +56,15 @@ def distances(folder):
 
 def test_distances_are_those_of_the_library(files, tmp_path, capsys):
     out = tmp_path / "out"
-    found = report(capsys, files / "ball.off", "--source", 0, 5, "-o", out)
+    ball = (files / "ball.off", "--source", 0, 5)
+    found = report(capsys, *ball, "--method", "direct", "-o", out)
     mesh = read(files / "ball.off")
     field = HeatGeodesics(mesh).distance([0, 5])
     np.testing.assert_array_equal(distances(out), field.distance)
     truth = np.arccos(np.clip(mesh.points @ mesh.points[[0, 5]].T, -1, 1)).min(axis=1)
     assert np.abs(distances(out) - truth).max() < 0.12  # coarse
     assert found["time_step"] == pytest.approx(field.time_step)
-    assert found["choice"] == field.choice
+    assert found["choice"] == "direct: as asked"
     assert found["iterations"] == field.poisson.iterations
     assert found["relative_residual"] == pytest.approx(field.poisson.relative_residual, abs=1e-10)
     assert found["largest_distance"] == pytest.approx(field.distance.max())
@@ -69,6 +76,28 @@ def test_distances_are_those_of_the_library(files, tmp_path, capsys):
     assert set(os.listdir(out)) == FILES
     saved = json.loads((out / "report.json").read_text())
     assert saved == {key: value for key, value in found.items() if key != "written"}
+
+
+def test_distances_on_small_meshes_are_exact(files, tmp_path, capsys):
+    found = report(capsys, files / "ball.off", "--source", 0, 5, "-o", tmp_path)
+    np.testing.assert_array_equal(
+        distances(tmp_path), exact_distances(read(files / "ball.off"), [0, 5])
+    )
+    assert found["choice"] == "exact: at most 2000 vertices"
+    assert found["heat"] is found["iterations"] is found["time_step"] is None
+    out, _ = printed(
+        capsys, "geodesic", files / "ball.off", "--source", 0, "--no-pictures", "-o", tmp_path
+    )
+    assert "time step" not in out
+
+
+@pytest.mark.filterwarnings("default")
+def test_heat_on_large_triangles_is_doubted(tmp_path, capsys):
+    write(sphere(subdivisions=0).geometry, tmp_path / "coarse.off")
+    command = ("geodesic", tmp_path / "coarse.off", "--method", "direct", "--no-pictures")
+    _, err = printed(capsys, *command, "--source", 0, "-o", tmp_path / "out")
+    assert "triangles are too large beside the surface" in err
+    assert "take --method auto" in err
 
 
 def test_the_ply_holds_the_distances_and_their_colours(files, tmp_path, capsys):
@@ -119,7 +148,7 @@ def test_sources_keep_their_place_when_a_file_is_repaired(files, tmp_path, capsy
     command = ("geodesic", files / "unused.off", "--repair", "--no-pictures", "-o", tmp_path)
     _, err = printed(capsys, *command, "--source", 8)
     assert "1 source renumbered by the repair: 8 is now 7" in err
-    expected = HeatGeodesics(read(files / "ball.off")).distance(7).distance
+    expected = exact_distances(read(files / "ball.off"), 7)
     np.testing.assert_array_equal(distances(tmp_path), expected)
     assert main([*map(str, command), "--source", "0"]) == 2
     assert "`--source` must name points that --repair keeps, got 0" in capsys.readouterr().err
@@ -227,9 +256,9 @@ def test_the_demo_draws_its_picture(tmp_path, monkeypatch, capsys):
     folder = tmp_path / "geodesic"
     assert set(os.listdir(folder)) == FILES | {"field.png"}
     assert "written: geodesic/field.png" in out
-    field = HeatGeodesics(creature(500)).distance(0)
+    field = exact_distances(creature(500), 0)
     source = json.loads((folder / "report.json").read_text())["sources"][0]["point"]
-    assert source == field.distance.argmax()
+    assert source == field.argmax()
     assert distances(folder)[source] == 0
 
     def interrupted(*_, **__):

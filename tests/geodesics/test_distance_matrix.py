@@ -20,6 +20,8 @@ from spectra_kit.geodesics import (
 )
 from spectra_kit.geometry import TriangleMesh, rectangle, sphere
 
+# Of what is coarse, and compared with itself alone.
+coarse = pytest.mark.filterwarnings("ignore:.*triangles are too large")
 SOURCES = [*range(0, 600, 31), [3, 4], FacePoint(7, (0.2, 0.3, 0.5))]
 
 
@@ -35,6 +37,7 @@ def same_fields(one, other) -> None:
 # --- fields in blocks ---
 
 
+@coarse
 @pytest.mark.parametrize("threads", ["1", "3"])
 @pytest.mark.parametrize("solver", [Direct(), Iterative()], ids=["direct", "iterative"])
 def test_fields_of_blocks_are_those_of_single_calls_bit_by_bit(
@@ -70,6 +73,7 @@ def test_also_on_several_components_whatever_the_order() -> None:
 # --- matrices ---
 
 
+@coarse
 def test_rows_are_distances_from_sources() -> None:
     mesh = creature(600)
     matrix = distance_matrix(mesh, SOURCES, dtype="float64")
@@ -94,6 +98,7 @@ def test_all_points_of_a_sphere_are_an_angle_apart() -> None:
     assert np.abs(matrix - truth).mean() <= np.abs(one_way - truth).mean()
 
 
+@coarse
 def test_the_mean_of_both_directions_is_nearer_to_exact_distances() -> None:
     mesh = creature(600)
     truth = np.array([exact_distances(mesh, i) for i in range(0, mesh.n, 40)])

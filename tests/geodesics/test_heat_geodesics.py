@@ -1,6 +1,7 @@
 """The heat method: analytic truths, invariances, an independent library, and bad input."""
 
 import dataclasses
+from contextlib import nullcontext
 
 import numpy as np
 import potpourri3d as pp3d
@@ -15,6 +16,7 @@ from spectra_kit.errors import ConvergenceError, DoubtfulDistanceWarning, OutOfM
 from spectra_kit.geodesics import (
     Automatic,
     Direct,
+    Exact,
     FacePoint,
     Heat,
     HeatGeodesics,
@@ -44,6 +46,9 @@ def animal() -> TriangleMesh:
 @pytest.fixture(scope="module")
 def modes(animal) -> sk.Spectrum:
     return sk.eigensolve(intrinsic_delaunay(animal).laplacian, 60)
+
+
+too_large = pytest.warns(DoubtfulDistanceWarning, match="triangles are too large")
 
 
 def middle_of(mesh: TriangleMesh) -> int:
@@ -218,8 +223,9 @@ def test_the_smallest_geometries(solver, boundary) -> None:
     tetrahedron = TriangleMesh(corners, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
     for mesh in (triangle, tetrahedron):
         # Down the middle of each face: its height, as heat is the same at both ends of the side.
-        distance = HeatGeodesics(mesh, solver=solver, boundary=boundary).distance(0).distance
-        assert distance[1:] == pytest.approx(np.sqrt(0.5))
+        heat = HeatGeodesics(mesh, solver=solver, boundary=boundary)
+        with too_large if boundary == "neumann" else nullcontext():
+            assert heat.distance(0).distance[1:] == pytest.approx(np.sqrt(0.5))
 
 
 def test_a_source_inside_a_face_lies_between_its_corners() -> None:
@@ -281,6 +287,86 @@ def test_a_cold_boundary_that_cuts_the_surface_apart_is_refused(solver) -> None:
     refused("sources", "not all lie on the boundary of their component", cold.distance, 0)
     field = HeatGeodesics(strip, solver=solver, boundary="average").distance(middle_of(sheet))
     assert field.distance.max() > 1.5 * right
+
+
+# --- coarse meshes --------------------------------------------------------------------------------
+
+
+def cube() -> TriangleMesh:
+    """With corners in the order of (x, y, z), two triangles to a face."""
+    points = [[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    squares = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    return TriangleMesh(points, [[q[0], q[i], q[i + 1]] for q in squares for i in (1, 2)])
+
+
+def flat_square(scale: float = 1.0) -> TriangleMesh:
+    corners = scale * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    return TriangleMesh(corners, [[0, 1, 2], [0, 2, 3]])
+
+
+def bipyramid(sides: int) -> tuple[np.ndarray, list[list[int]]]:
+    """Two flat pyramids over a polygon, with needles for faces."""
+    turn = 2 * np.pi * np.arange(sides) / sides
+    rim = np.c_[5 * np.cos(turn), 5 * np.sin(turn), 0 * turn]
+    faces = [[i, (i + 1) % sides, sides] for i in range(sides)]
+    faces += [[(i + 1) % sides, i, sides + 1] for i in range(sides)]
+    return np.vstack([rim, [[0, 0, 0.2], [0, 0, -0.2]]]), faces
+
+
+COARSE = {
+    "square": (flat_square(), [0, 1, np.sqrt(2), 1]),
+    "a large square": (flat_square(1e6), [0, 1e6, np.sqrt(2) * 1e6, 1e6]),
+    # A path to the far corner crosses two unfolded squares.
+    "cube": (cube(), np.sqrt([0, 1, 1, 2, 1, 2, 2, 5])),
+    "ball": (sphere(subdivisions=0).geometry, None),
+    "bipyramid": (TriangleMesh(*bipyramid(5)), None),
+}
+
+
+@pytest.mark.parametrize("name", COARSE)
+def test_coarse_meshes_take_exact_distances_and_the_heat_method_is_doubted(name) -> None:
+    mesh, truth = COARSE[name]
+    truth = by_libigl(mesh, 0) if truth is None else truth
+    field = geodesic_distance(mesh, 0)
+    assert field.distance == pytest.approx(truth, rel=1e-8)
+    assert (field.solver, field.choice) == (Exact(), "exact: at most 2000 vertices")
+    assert "iterations" not in repr(field)
+    heat = HeatGeodesics(mesh)
+    with too_large as told:
+        off = relative_error(heat.distance(0), field.distance)
+    assert off > 0.035
+    assert f"by {off:.0%}" in str(told[0].message)
+    with too_large:  # of which it was told already; other sources are no better
+        heat.distances([mesh.n - 1])
+
+
+@pytest.mark.parametrize("points", [300, 1200])
+def test_well_resolved_meshes_are_not_doubted(points) -> None:
+    for mesh in (sphere(subdivisions=3).geometry, rectangle(n=points).geometry):
+        source = middle_of(mesh)
+        assert relative_error(HeatGeodesics(mesh).distance(source), by_libigl(mesh, source)) < 0.035
+
+
+def test_each_part_is_doubted_by_its_own_triangles() -> None:
+    fine, coarse = sphere(subdivisions=3).geometry, cube()
+    both = TriangleMesh(
+        np.vstack([fine.points, coarse.points + 5]), np.vstack([fine.faces, coarse.faces + fine.n])
+    )
+    heat = HeatGeodesics(both)
+    heat.distance(0)
+    with too_large:
+        heat.distance(fine.n)
+
+
+def test_what_only_the_heat_method_has_is_left_to_it(animal) -> None:
+    mesh = rectangle(n=500).geometry
+    exact = geodesic_distance(mesh, [0, 7])
+    assert exact.distance == pytest.approx(by_libigl(mesh, 0, 7), rel=1e-8)
+    for options in ({"time_coefficient": 2.0}, {"solver": Direct()}, {"weights": [1, 2]}):
+        assert geodesic_distance(mesh, [0, 7], **options).solver == Direct()
+    assert geodesic_distance(mesh, FacePoint(3, (0.2, 0.3, 0.5))).solver == Direct()
+    assert geodesic_distance(mesh.as_cloud(), 0).solver == Direct()
+    assert geodesic_distance(animal, 0).solver == Direct()
 
 
 # --- choice and record ----------------------------------------------------------------------------

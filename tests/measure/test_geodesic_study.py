@@ -24,7 +24,7 @@ from measure.store import Store
 from measure.study import Result, run
 
 from spectra_kit import Neo
-from spectra_kit.geodesics import exact_distances, geodesic_distance
+from spectra_kit.geodesics import HeatGeodesics, exact_distances
 from spectra_kit.geometry import sphere, write
 from spectra_kit.neo import NeoConfig, NeoNetwork, save_weights
 
@@ -132,7 +132,7 @@ def test_a_race_has_a_mean_and_a_worst_only_of_what_solved_every_mesh(tmp_path):
 def test_numbers_are_those_of_the_library(measured, accuracy):
     out, _, shape = measured
     sources, distances = studies(out, [shape])[1].distances(shape)
-    field, exact = geodesic_distance(shape.mesh, sources[0]), distances[0]
+    field, exact = HeatGeodesics(shape.mesh).distance(sources[0]), distances[0]
     np.testing.assert_array_equal(exact, exact_distances(shape.mesh, sources[0]))
     away = np.arange(N) != sources[0]
     truth = np.mean(np.abs(field.distance - exact)[away] / exact[away])

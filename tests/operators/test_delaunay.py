@@ -15,8 +15,10 @@ from spectra_kit import (
     TriangleMesh,
     cotan_laplacian,
     eigensolve,
+    knn_laplacian,
     robust_laplacian,
 )
+from spectra_kit.errors import SplitSurfaceWarning
 from spectra_kit.geometry import rectangle, sphere, torus
 from spectra_kit.operators import _gluing, delaunay_laplacian, oriented_triangles
 
@@ -112,6 +114,108 @@ def test_rectangle_and_torus_spectra() -> None:
     assert fine < 0.7 * coarse
     ring = torus()  # quadrangles are planar trapezoids: again four points on each circle
     assert error(np.array(ring.geometry.points), ring.eigenvalues[:16]) < 0.03
+
+
+# --- points along lines ---
+
+
+def rings(count: int, points: int, *, turn: float = 2.4) -> np.ndarray:
+    """Of the unit sphere, at equal angles from pole to pole, each turned against the one before."""
+    along = 2 * np.pi * np.arange(points) / points
+    ring = np.arange(1, count + 1)[:, None]
+    up = np.pi * ring / (count + 1) - np.pi / 2
+    along = along + turn * ring
+    height = np.broadcast_to(np.sin(up), along.shape)
+    circle = np.cos(up)[..., None] * np.stack([np.cos(along), np.sin(along)], axis=-1)
+    return np.concatenate([circle, height[..., None]], axis=-1).reshape(-1, 3)
+
+
+def helix(turns: int, points: int) -> np.ndarray:
+    at = (np.arange(turns * points) + 0.5) / (turns * points)
+    up, along = np.pi * (at - 0.5), 2 * np.pi * turns * at
+    return np.c_[np.cos(up) * np.cos(along), np.cos(up) * np.sin(along), np.sin(up)]
+
+
+def slices(count: int, points: int) -> np.ndarray:
+    """Horizontal cuts of a torus of radii 1 and 0.4: two circles at each height."""
+    along = 2 * np.pi * np.arange(points) / points
+    height = 0.4 * np.linspace(-1, 1, count + 2)[1:-1]
+    half = np.sqrt(0.16 - height**2)
+    radii, heights = np.concatenate([1 - half, 1 + half]), np.concatenate([height, height])
+    circle = np.stack([np.cos(along), np.sin(along), 0 * along], axis=-1)
+    return (radii[:, None, None] * circle + heights[:, None, None] * [0, 0, 1]).reshape(-1, 3)
+
+
+def meridians(count: int, points: int) -> np.ndarray:
+    """Circles around the tube of the same torus."""
+    u, v = np.meshgrid(*(2 * np.pi * np.arange(m) / m for m in (count, points)), indexing="ij")
+    out = 1 + 0.4 * np.cos(v)
+    return np.stack([out * np.cos(u), out * np.sin(u), 0.4 * np.sin(v)], axis=-1).reshape(-1, 3)
+
+
+def turned(points: np.ndarray) -> np.ndarray:
+    axes = np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))[0]
+    return points @ axes
+
+
+def noisy(points: np.ndarray, size: float) -> np.ndarray:
+    return points + size * np.random.default_rng(4).standard_normal(points.shape)
+
+
+BALL, WIDE = [2, 2, 2, 6, 6], [1, 1.4, 0.7]
+SCANS = {
+    "rings": (lambda: rings(24, 300), BALL, 4 * np.pi),
+    "dense rings": (lambda: turned(rings(24, 800)), BALL, 4 * np.pi),
+    "noisy rings": (lambda: noisy(rings(24, 400), 1e-3), BALL, 4 * np.pi),
+    "a helix": (lambda: turned(helix(24, 400)), BALL, 4 * np.pi),
+    "two balls": (
+        lambda: np.vstack([rings(24, 300), rings(24, 300) + [2.4, 0, 0]]),
+        [0, *BALL[:3] * 2][:5],
+        8 * np.pi,
+    ),
+    "an ellipsoid": (lambda: turned(rings(24, 400) * WIDE), "ellipsoid", None),
+    "a torus": (lambda: turned(meridians(24, 200)), "torus", 1.6 * np.pi**2),
+    "lines on a sheet": (lambda: turned(grid(400, 20) * [1 / 399, 0.05, 0]), "sheet", 0.95),
+}
+
+
+@pytest.mark.parametrize("name", SCANS)
+def test_points_along_lines_are_one_surface(name: str) -> None:
+    build, truth, area = SCANS[name]
+    if truth == "sheet":  # of 1 by 0.95
+        truth = np.sort([(i**2 + (j / 0.95) ** 2) * np.pi**2 for i in range(4) for j in range(4)])
+        truth = truth[1:6]
+    if truth == "torus":
+        truth = torus(n=400, major=1.0, minor=0.4).eigenvalues[1:6]
+    if truth == "ellipsoid":
+        fine = sphere(subdivisions=4).geometry
+        fine = robust_laplacian(TriangleMesh(fine.points * WIDE, fine.faces))
+        truth, area = eigensolve(fine, 6).eigenvalues[1:], fine.area
+    built = delaunay_laplacian(PointCloud(build()))
+    assert built.n_components == 1 + (name == "two balls")
+    assert built.area == pytest.approx(area, rel=0.03)
+    found = eigensolve(built, 6).eigenvalues[1:]
+    assert found == pytest.approx(np.array(truth, dtype=float), rel=0.05, abs=1e-6)
+
+
+def test_parts_that_look_like_lines_of_one_surface_are_told() -> None:
+    cut = PointCloud(slices(24, 200))  # flat at top and bottom, with nothing between two circles
+    with pytest.warns(SplitSurfaceWarning, match="2 parts of them"):
+        assert delaunay_laplacian(cut).n_components == 2
+    far = PointCloud(rings(3, 3000))  # each ring further from the next than its points are seen
+    with pytest.warns(SplitSurfaceWarning, match="3 parts of them"):
+        assert delaunay_laplacian(far).n_components == 3
+    with pytest.warns(SplitSurfaceWarning, match="raise `n_neighbors` above 20"):
+        assert knn_laplacian(PointCloud(rings(24, 400))).n_components > 1
+    sheets = PointCloud(np.vstack([grid(30, 30), grid(30, 30) + [0, 0, 2.5]]))
+    with pytest.warns(SplitSurfaceWarning, match="2 parts"):
+        knn_laplacian(sheets, n_neighbors=4)
+
+
+def test_parts_far_from_each_other_are_parts() -> None:
+    apart = PointCloud(np.vstack([ball(600), ball(600, 1) + [2.8, 0, 0], grid(20, 20) / 9 + 5]))
+    for build in (delaunay_laplacian, knn_laplacian):  # a warning would be an error
+        assert build(apart).n_components == 3
 
 
 def test_same_bits_whatever_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:

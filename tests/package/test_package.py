@@ -126,7 +126,7 @@ def test_what_is_shown_of_a_value_is_short() -> None:
 def test_values_draw_themselves(tmp_path: Path) -> None:
     ball = sphere(subdivisions=1).geometry
     ball.as_cloud().plot(tmp_path / "drawn.png")
-    field = sk.HeatGeodesics(ball).distance(0)
+    field = sk.geodesic_distance(ball, 0)
     drawn = [sk.spectrum(ball, 4).plot().content, field.plot(ball).content]
     for content in ((tmp_path / "drawn.png").read_bytes(), *drawn):
         assert content.startswith(b"\x89PNG")

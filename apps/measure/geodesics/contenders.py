@@ -56,7 +56,7 @@ def _heat(
         return [
             Found(
                 f.distance,
-                None if f.solver.name == "direct" else f.poisson.iterations,
+                f.poisson.iterations if f.poisson and f.solver.name != "direct" else None,
                 f.solver.name,
                 f.seconds,
             )
