@@ -117,7 +117,7 @@ class Cascade(OnPoints):
         levels = nested(gathers, max(least, _ROOM * block))
         few = self.coarsest is None and k <= _FEW_MODES and laplacian.n <= _FEW_POINTS
         if self.subspace is None and (few or not levels):
-            why = f"{laplacian.n} points are few for {quantity(k, 'mode')}"
+            why = f"an exact solution is quickest for {quantity(k, 'mode')} of {laplacian.n} points"
             solver = Arpack(seed=self.seed)
             return solver.eigenpairs(laplacian, k)._replace(solver=solver, reason=why)
         clock.stage("coarsen")

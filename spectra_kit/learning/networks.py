@@ -42,10 +42,20 @@ class Batch(NamedTuple):
 
     def to(self, device: str | torch.device) -> Batch:
         """Return the same on a device."""
-        slopes = (
-            None if self.slopes is None else (self.slopes[0].to(device), self.slopes[1].to(device))
+
+        def moved(part: Tensor | None) -> Tensor | None:
+            return None if part is None else part.to(device)
+
+        along, across = self.slopes or (None, None)
+        features, points, mass = (part.to(device) for part in self[:3])
+        return Batch(
+            features,
+            points,
+            mass,
+            moved(self.eigenvalues),
+            moved(self.eigenvectors),
+            None if along is None or across is None else (along.to(device), across.to(device)),
         )
-        return Batch(*(part if part is None else part.to(device) for part in self[:5]), slopes)
 
 
 @runtime_checkable

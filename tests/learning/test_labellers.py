@@ -2,10 +2,12 @@
 
 import sys
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pytest
 import torch
+from conftest import refused
 
 from spectra_kit.eigensolvers import Neo
 from spectra_kit.embeddings import (
