@@ -31,6 +31,7 @@ extensions = [
     # Small ones of our own, in docs/extensions:
     "command_help",
     "notebook_pages",
+    "package_list",
     "short_names",
 ]
 templates_path = ["_templates"]

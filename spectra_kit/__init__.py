@@ -25,6 +25,9 @@ Conventions, everywhere the same:
 spectrum in one line, too: ``sk.spectrum("bunny.obj", 50)``.
 """
 
+from difflib import get_close_matches as _near
+from typing import Any as _Any
+
 import lazy_loader
 
 from spectra_kit._version import VERSION
@@ -33,4 +36,12 @@ __version__ = VERSION
 
 # The names stand in __init__.pyi, where type checkers look as well. They are imported when they are
 # first asked for: a command that needs little starts at once, torch and pyvista wait.
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_get, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> _Any:
+    if name in __all__:
+        return _get(name)
+    near = " or ".join(f"sk.{other}" for other in _near(name, __all__, 2))
+    hint = f"did you mean {near}?" if near else "dir(spectra_kit) lists what it has"
+    raise AttributeError(f"spectra_kit has no attribute {name!r}; {hint}")

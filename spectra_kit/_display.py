@@ -38,7 +38,7 @@ def table(title: str, facts: Mapping[str, object]) -> str:
 
 
 def draw(plot: str, *arguments: Any, **options: Any) -> Any:
-    """Call a plot of `viz`, which imports all that it draws: so not before something is drawn."""
+    """Call a plot or a class of `viz`, which imports what it draws with: so not before it must."""
     return getattr(import_module("spectra_kit.viz"), plot)(*arguments, **options)
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import fields
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -207,6 +207,16 @@ class Brief:
     def _repr_html_(self) -> str:
         """What a notebook shows."""
         return table(type(self).__qualname__, self._facts())
+
+    if not TYPE_CHECKING:  # which knows the names
+
+        def __getattr__(self, name: str) -> Any:
+            """Name what there is: the mesh of one record is the geometry of another."""
+            if name.startswith("_"):  # asked for by copy, pickle and notebooks
+                raise AttributeError(name)
+            known = ", ".join(f.name for f in fields(self))
+            told = f"{type(self).__qualname__} has no attribute {name!r}; it has {known}"
+            raise AttributeError(told, name=name, obj=self)
 
     def _facts(self) -> Mapping[str, object]:
         """What there is to show, by name."""

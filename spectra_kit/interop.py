@@ -3,19 +3,28 @@
 Each ``to_*`` returns what that toolkit stores, under its own names; each ``from_*`` takes these
 and returns a `Spectrum`. Their tiny negative eigenvalues (rounding of zero modes) become zero;
 larger ones are refused. Meshes of other toolkits need no adapter: see `geometry.as_geometry`.
+
+Functional maps of pyFM and geomfum are, as ours, (k2, k1), and take functions from the first
+surface to the second; their point maps, ``p2p_21``, are ours as they are. But theirs are between
+modes in the unit of each surface, ours between surfaces of area 1: `to_pyfm_map` and its kin carry
+them over. A map belongs to the modes it was made of, with their signs: hand over the spectra too,
+or the point map alone.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import sparse
+from scipy import linalg, sparse
 
 from spectra_kit._checked import checked
-from spectra_kit._validate import as_array, check_mass
-from spectra_kit.errors import InvalidInputError
+from spectra_kit._types import Floats
+from spectra_kit._validate import as_array, check_mass, quantity, warn
+from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
+from spectra_kit.functional_maps.checks import check_functional_map
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.operators.laplacian import Laplacian, lumped_diagonal
 from spectra_kit.operators.tangent import TangentGradient
@@ -24,6 +33,7 @@ from spectra_kit.spectra import Provenance, Spectrum
 if TYPE_CHECKING:
     import torch
 
+_ORTHONORMAL = 1e-4
 _NEGATIVE = 1e-6  # relative to Weyl's spacing 4 pi / area: ARPACK's rounding of a zero mode
 
 
@@ -89,8 +99,9 @@ def from_arrays(
         Ascending, in 1/length^2.
     eigenvectors : array_like of shape (n, k)
         M-orthonormal columns.
-    mass : array_like of shape (n,), or diagonal sparse array of shape (n, n)
-        Lumped mass, in length^2.
+    mass : array_like of shape (n,), or array or sparse array of shape (n, n)
+        The mass they are orthonormal in, in length^2: lumped, or the full matrix of linear finite
+        elements.
     solver : str, default "user"
         For the provenance.
 
@@ -99,12 +110,25 @@ def from_arrays(
     Spectrum
         Without a certificate; ``.certify(laplacian)`` adds one.
 
+    Warns
+    -----
+    IgnoredContentWarning
+        If the mass is not diagonal: what comes back is of its row sums.
+
     Raises
     ------
     InvalidInputError
-        If the columns are not M-orthonormal to 1e-4, or eigenvalues are clearly negative.
+        If the columns are not M-orthonormal to 1e-4, eigenvalues are clearly negative, or row sums
+        of a mass that is not diagonal are not positive.
     InvalidSpectrumError
         If shapes disagree or eigenvalues descend.
+
+    Notes
+    -----
+    Modes of a full mass M are not orthonormal in its row sums D. As ``U.T @ L @ U`` is the diagonal
+    of their eigenvalues, the Ritz pairs of ``L u = lambda D u`` within their span need no L: they
+    solve a (k, k) problem with ``U.T @ D @ U``. These are what is returned. They lie below the
+    given ones, as D is larger than M, and above those of D, by the square of what the span lacks.
 
     Examples
     --------
@@ -116,7 +140,10 @@ def from_arrays(
     values = np.array(eigenvalues, dtype=np.float64)
     if np.ndim(eigenvectors) != 2 or not np.size(eigenvectors):
         raise InvalidInputError("eigenvectors", "have shape (n, k)", np.shape(eigenvectors))
-    diagonal = check_mass("mass", lumped_diagonal(mass), len(np.asarray(eigenvectors)))
+    vectors = np.asarray(eigenvectors, dtype=np.float64)
+    matrix = _not_diagonal(mass)
+    lumped = lumped_diagonal(mass) if matrix is None else _row_sums(matrix, len(vectors))
+    diagonal = check_mass("mass", lumped, len(vectors))
     floor = -_NEGATIVE * 4 * np.pi / diagonal.sum()
     if values.size and values.min() < floor:
         raise InvalidInputError(
@@ -127,18 +154,65 @@ def from_arrays(
         )
     spectrum = Spectrum(
         np.maximum(values, 0.0),
-        np.asarray(eigenvectors, dtype=np.float64),
+        vectors,
         diagonal,
         provenance=Provenance(solver=solver, name="" if solver == "user" else solver.lower()),
     )
-    if (error := spectrum.orthonormality_error()) > 1e-4:
+    if matrix is None:
+        error = spectrum.orthonormality_error()
+    else:
+        error = float(np.abs(vectors.T @ (matrix @ vectors) - np.eye(spectrum.k)).max())
+    if error > _ORTHONORMAL:
         raise InvalidInputError(
             "eigenvectors",
             "be M-orthonormal",
             f"|U^T M U - I| up to {error:.2e}",
-            advice="is `mass` the one they were computed with, in the same unit?",
+            advice="is `mass` the one they were computed with, in the same unit? That of finite"
+            " elements is a matrix, not its row sums: pass it whole",
         )
-    return spectrum
+    return spectrum if matrix is None else _lumped(spectrum)
+
+
+def _not_diagonal(mass: Any) -> sparse.csr_array | None:
+    """Return a mass matrix that has entries beside its diagonal; None of anything else."""
+    if not sparse.issparse(mass):
+        mass = np.asarray(mass)
+        if mass.ndim != 2 or mass.shape[1] == 1:
+            return None
+    matrix = sparse.csr_array(mass, dtype=np.float64)
+    off = matrix - sparse.diags_array(matrix.diagonal(), shape=matrix.shape)
+    return matrix if off.count_nonzero() else None
+
+
+def _row_sums(mass: sparse.csr_array, n: int) -> Floats:
+    if mass.shape != (n, n):
+        raise InvalidInputError("mass", f"have shape ({n},) or ({n}, {n})", mass.shape)
+    sums: Floats = mass.sum(axis=1)
+    if not (sums > 0).all():
+        raise InvalidInputError(
+            "mass",
+            "have positive row sums, which modes are carried over to",
+            f"{quantity((~(sums > 0)).sum(), 'row')} whose sum is not",
+            advice="modes of linear elements have; those of higher order are not taken",
+        )
+    return sums
+
+
+def _lumped(spectrum: Spectrum) -> Spectrum:
+    """Return the Ritz pairs in the mass of the spectrum, of modes orthonormal in another."""
+    values, vectors = spectrum.eigenvalues, spectrum.eigenvectors
+    gram = vectors.T @ (spectrum.mass[:, None] * vectors)
+    ritz, within = linalg.eigh(np.diag(values), gram)
+    ritz = np.maximum(ritz, 0.0)
+    within = within * np.where(np.diag(within) < 0, -1, 1)  # with the signs that they had
+    moved = np.abs(ritz - values).max() / max(values.max(), np.finfo(float).tiny)
+    warn(
+        "`mass` has entries beside its diagonal, which are passed over: the modes were carried over"
+        f" to its row sums, which moves eigenvalues by up to {moved:.1%} of the largest",
+        IgnoredContentWarning,
+        advice="solve with a lumped mass, as LaPy's Solver(mesh, lump=True)",
+    )
+    return replace(spectrum, eigenvalues=ritz, eigenvectors=vectors @ within)
 
 
 @checked
@@ -225,6 +299,57 @@ def from_pyfm(
 
 
 @checked
+def to_pyfm_map(functional_map: ArrayLike, source: Spectrum, target: Spectrum) -> Floats:
+    """Return a functional map as pyFM has it, between modes in the unit of each surface.
+
+    Parameters
+    ----------
+    functional_map : array_like of shape (k2, k1)
+        Source coefficients to target coefficients, at unit area, as of `functional_maps` and
+        `Match`.
+    source, target : Spectrum
+        Whose modes it is in, in the units in which pyFM has them, as `to_pyfm` hands them over.
+
+    Returns
+    -------
+    ndarray of shape (k2, k1)
+        Its ``FM_12``: ``functional_map`` times the root of ``target.area / source.area``.
+
+    Raises
+    ------
+    InvalidInputError
+        If `functional_map` is not finite or larger than the spectra.
+
+    Notes
+    -----
+    ``FM_to_p2p(..., use_adj=True)`` of it is the point map that
+    `functional_maps.point_map_from_functional_map` finds with ``adjoint=True``. Without, which is
+    pyFM's default, it compares rows whose lengths differ by ``target.area / source.area``, and
+    finds other points, the more the further areas are apart: give it surfaces of one area, by
+    ``spectrum.rescale(spectrum.area**-0.5)``. Neither need be the ``point_map`` of a `Match`, which
+    says more than its modes do: that one is pyFM's ``p2p_21`` as it is.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import spectra_kit as sk
+    >>> s = sk.Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+    >>> sk.interop.to_pyfm_map(np.eye(2), s, s.rescale(3.0))
+    array([[3., 0.],
+           [0., 3.]])
+    """
+    C = check_functional_map("functional_map", functional_map, source, target)
+    return np.asarray(C * (target.area / source.area) ** 0.5)
+
+
+@checked
+def from_pyfm_map(functional_map: ArrayLike, source: Spectrum, target: Spectrum) -> Floats:
+    """Return pyFM's ``FM_12`` as a functional map at unit area: see `to_pyfm_map`."""
+    C = check_functional_map("functional_map", functional_map, source, target)
+    return np.asarray(C * (source.area / target.area) ** 0.5)
+
+
+@checked
 def to_geomfum(spectrum: Spectrum, laplacian: Laplacian) -> GeomfumArrays:
     """Return the arrays of geomfum's ``Laplacian`` and ``LaplaceEigenBasis``.
 
@@ -253,6 +378,18 @@ def from_geomfum(
 ) -> Spectrum:
     """Return the spectrum of geomfum's ``basis.vals, basis.vecs, laplacian.mass_matrix``."""
     return from_arrays(eigenvalues, eigenvectors, mass, solver="geomfum")
+
+
+@checked
+def to_geomfum_map(functional_map: ArrayLike, source: Spectrum, target: Spectrum) -> Floats:
+    """Return a functional map as geomfum has it, which is as pyFM does: see `to_pyfm_map`."""
+    return to_pyfm_map(functional_map, source, target)
+
+
+@checked
+def from_geomfum_map(functional_map: ArrayLike, source: Spectrum, target: Spectrum) -> Floats:
+    """Return geomfum's ``fmap_matrix`` as a functional map at unit area: see `to_pyfm_map`."""
+    return from_pyfm_map(functional_map, source, target)
 
 
 @checked

@@ -1,17 +1,24 @@
-"""The directive ``command-help``: what ``spectra-kit --help`` and its commands print today."""
+"""What ``spectra-kit --help`` and its commands print, written into ``docs/command_line.md``.
+
+It stands in the file itself, where the repository shows it too. The build writes it, and so does
+``python docs/extensions/command_help.py``; a test holds it to what the commands say.
+"""
 
 from __future__ import annotations
 
 import io
 import os
 from contextlib import redirect_stdout
+from pathlib import Path
+from typing import TYPE_CHECKING
 from unittest import mock
 
-from docutils import nodes
-from sphinx.application import Sphinx
-from sphinx.util.docutils import SphinxDirective
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
 
-_PLAIN = {"COLUMNS": "80", "NO_COLOR": "1"}  # whatever terminal builds the pages
+PAGE = Path(__file__).parents[1] / "command_line.md"
+BEGIN = "<!-- written by docs/extensions/command_help.py -->\n"
+_PLAIN = {"COLUMNS": "80", "NO_COLOR": "1"}  # whatever terminal prints it
 
 
 def help_text(*command: str) -> str:
@@ -21,30 +28,34 @@ def help_text(*command: str) -> str:
     printed = io.StringIO()
     with mock.patch.dict(os.environ, _PLAIN), redirect_stdout(printed):
         main([*command, "--help"])
-    return printed.getvalue().rstrip()
+    return "\n".join(map(str.rstrip, printed.getvalue().rstrip().splitlines()))
 
 
-class CommandHelp(SphinxDirective):
-    """The help of the program, and a section with that of each command."""
+def help_section() -> str:
+    """Return the help of the program, and a section with that of each command."""
+    from spectra_kit.cli.program import COMMANDS
 
-    def run(self) -> list[nodes.Node]:
-        from spectra_kit.cli.program import COMMANDS
+    boxes = [f"```text\n{help_text()}\n```\n"]
+    boxes += [f"## {c.name}\n\n```text\n{help_text(c.name)}\n```\n" for c in COMMANDS]
+    return "\n".join(boxes)
 
-        content: list[nodes.Node] = [self._box()]
-        for command in COMMANDS:
-            section = nodes.section(ids=[nodes.make_id(command.name)], names=[command.name])
-            section += nodes.title("", "", nodes.literal("", command.name))
-            section += self._box(command.name)
-            content.append(section)
-        return content
 
-    def _box(self, *command: str) -> nodes.literal_block:
-        text = help_text(*command)
-        if not text.startswith("usage"):
-            raise self.error(f"no help came from: spectra-kit {' '.join(command)}")
-        return nodes.literal_block(text, text, language="text")
+def whole(page: str) -> str:
+    """Return the page with what the commands say today."""
+    return page.partition(BEGIN)[0] + BEGIN + "\n" + help_section()
+
+
+def write() -> None:
+    """Bring the page up to date."""
+    before = PAGE.read_text()
+    if (now := whole(before)) != before:
+        PAGE.write_text(now)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    app.add_directive("command-help", CommandHelp)
+    write()
     return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+if __name__ == "__main__":
+    write()

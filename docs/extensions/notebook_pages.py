@@ -1,5 +1,8 @@
 """Notebooks as pages, and what is asked of them: each shows a picture and complains of nothing.
 
+Their questions stand in ``docs/notebooks.md``, with links to the notebooks themselves, as the
+repository shows it; the build brings the list up to date, and links to their pages.
+
 They are executed while the pages are built; a cell that fails, or writes to stderr, is a warning
 (``nb_output_stderr`` in ``conf.py``), which ``sphinx-build -W`` does not forgive.
 """
@@ -17,14 +20,14 @@ from sphinx.environment import BuildEnvironment
 from sphinx.util import logging
 
 _NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
+PAGE = Path(__file__).parents[1] / "notebooks.md"
+BEGIN = "<!-- written by docs/extensions/notebook_pages.py -->\n"
+_IN_REPOSITORY = "../notebooks/"
 _log = logging.getLogger(__name__)
 
 
 def gather(source: Path, target: Path) -> None:
-    """Copy each notebook of `source` to `target` if it has changed, and list their questions.
-
-    The list is ``questions.inc``, beside them.
-    """
+    """Copy each notebook of `source` to `target` if it has changed."""
     target.mkdir(exist_ok=True)
     wanted = sorted(source.glob("*.ipynb"))
     for stale in {*target.glob("*.ipynb")} - {target / path.name for path in wanted}:
@@ -33,8 +36,12 @@ def gather(source: Path, target: Path) -> None:
         page = target / path.name
         if not page.is_file() or page.read_bytes() != path.read_bytes():
             shutil.copyfile(path, page)
-    lines = [_entry(target.name, path) for path in wanted]
-    (target / "questions.inc").write_text("\n".join(lines) + "\n")
+
+
+def listed(page: str, source: Path) -> str:
+    """Return a page with the questions of all notebooks of `source` at its end."""
+    entries = [_entry(_IN_REPOSITORY, path) for path in sorted(source.glob("*.ipynb"))]
+    return page.partition(BEGIN)[0] + BEGIN + "\n" + "\n".join(entries) + "\n"
 
 
 def _entry(folder: str, path: Path) -> str:
@@ -43,7 +50,12 @@ def _entry(folder: str, path: Path) -> str:
     title, _, text = first.partition("\n")
     question = re.search(r"[^.?!]*\?", " ".join(text.split()).replace("*", ""))
     title = title.removeprefix("# ")
-    return f"- [{title}]({folder}/{path.name}): {question[0].strip() if question else ''}"
+    return f"- [{title}]({folder}{path.name}): {question[0].strip() if question else ''}"
+
+
+def _link_to_pages(app: Sphinx, page: str, source: list[str]) -> None:
+    if page == "notebooks":
+        source[0] = source[0].replace(f"]({_IN_REPOSITORY}", "](notebooks/")
 
 
 def _make_cache(app: Sphinx, env: BuildEnvironment, pages: list[str]) -> None:
@@ -71,6 +83,10 @@ def _ask_for_a_picture(app: Sphinx, doctree: nodes.document) -> None:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     gather(_NOTEBOOKS, Path(app.srcdir) / "notebooks")
+    before = PAGE.read_text()
+    if (now := listed(before, _NOTEBOOKS)) != before:
+        PAGE.write_text(now)
+    app.connect("source-read", _link_to_pages)
     app.connect("env-before-read-docs", _make_cache)
     app.connect("env-before-read-docs", _spread)
     app.connect("doctree-read", _ask_for_a_picture)

@@ -191,7 +191,7 @@ def _draw(
         sources=np.array(places),
         spacing=asked.spacing,
         view=View(asked.upwards, asked.turn),
-        page=Page(name, f"{size} \N{MIDDLE DOT} {field.choice}", asked.dpi),
+        page=Page(name, f"{size} \N{MIDDLE DOT} heat method", asked.dpi),
     )
     if compared:
         heading = f"{name}: the Poisson step of the heat method, {size}"

@@ -92,7 +92,8 @@ def similar(asked: program.Similar) -> None:
         asked,
         record,
         f"{asked.file}: nearest of {len(index.names)} shapes in {asked.folder}\n"
-        "distance in standard deviations",
+        "distance: mean difference of the numbers that tell shapes apart, each in its standard\n"
+        "deviations over the folder",
         lines,
         picture=asked.picture,
         draw=draw,

@@ -168,7 +168,7 @@ def comparison_verdict(comparison: Comparison) -> str:
     change = comparison.predicted_eigenvalues[worst] / comparison.eigenvalues[worst] - 1
     which = f"mode {worst} by {100 * change:+,.{0 if far else 2}f} %"
     if not far:
-        return f"every eigenvalue is within {DOUBTFUL:.0%}; the farthest off is that of {which}"
+        return f"no eigenvalue is farther off than that of {which}"
     if comparison.match[worst] != worst:
         which += f" (it resembles mode {comparison.match[worst]} of the other side most)"
     return (

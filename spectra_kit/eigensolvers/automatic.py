@@ -89,7 +89,7 @@ class Automatic:
     >>> from spectra_kit.geometry import sphere
     >>> laplacian = robust_laplacian(sphere(subdivisions=3).geometry)
     >>> eigensolve(laplacian, 9, Automatic(accuracy=1e-3)).provenance.choice
-    'arpack: 642 points are few for 9 modes'
+    'arpack: an exact solution is quickest for 9 modes of 642 points'
     """
 
     accuracy: float | None = None
@@ -140,7 +140,9 @@ class Automatic:
         needed = Arpack.memory(n, k)
         fits = needed <= self.memory
         if fits and n <= max(_FEW, _FEW_FOR_EACH * k):
-            return Arpack(seed=self.seed), f"{n} points are few for {quantity(k, 'mode')}"
+            return Arpack(
+                seed=self.seed
+            ), f"an exact solution is quickest for {quantity(k, 'mode')} of {n} points"
         if self.accuracy is not None and self.accuracy >= _TIGHT:
             why = f"errors of {self.accuracy:g} on {n} points need no factor"
         elif not fits:

@@ -121,7 +121,7 @@ class Cascade(OnPoints):
         levels = nested(gathers, max(least, _ROOM * block))
         few = self.coarsest is None and k <= _FEW_MODES and laplacian.n <= _FEW_POINTS
         if self.subspace is None and (few or not levels):
-            why = f"{laplacian.n} points are few for {quantity(k, 'mode')}"
+            why = f"an exact solution is quickest for {quantity(k, 'mode')} of {laplacian.n} points"
             return Arpack(seed=self.seed).or_densely(laplacian, k, why)
         clock.stage("coarsen")
         bottom = levels[-1] if levels else gathers

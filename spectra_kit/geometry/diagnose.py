@@ -44,6 +44,9 @@ class Problem:
     def __str__(self) -> str:
         return self.told()
 
+    def __repr__(self) -> str:
+        return f"Problem({self.count}, {self.told()!r})"
+
 
 # What a count of `Diagnosis` says of one and of several, and what helps; "": joining points.
 _PROBLEMS = {

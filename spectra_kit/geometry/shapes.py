@@ -26,15 +26,19 @@ class _Shape(Rebuilt):
 
     points: Floats
 
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
-        """Draw it; return the `viz.Picture`, which is written to `path` if there is one."""
-        return draw("plot_fields", path, self, self._field())
+    def plot(self, path: str | os.PathLike[str] | None = None, *, view: Any = None) -> Any:
+        """Draw it, seen as a `viz.View` says, or from where it shows most.
+
+        Return the `viz.Picture`, which is written to `path` if there is one.
+        """
+        seen = {} if view is None else {"view": view}
+        return draw("plot_portraits", path, self._portraits(), **seen)
 
     def _repr_html_(self) -> str:
-        return drawn(repr(self), "plot_fields", self, self._field())
+        return drawn(repr(self), "plot_portraits", self._portraits())
 
-    def _field(self) -> dict[str, Floats]:
-        return {repr(self): np.zeros(len(self.points))}
+    def _portraits(self) -> Any:
+        return [draw("Portrait", geometry=self, lines=(repr(self),))]
 
     @staticmethod
     def _made_of(thing: Any) -> Geometry:

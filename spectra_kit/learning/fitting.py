@@ -25,6 +25,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry
 from spectra_kit.learning.examples import Example, Recipe, batched, stretched
 from spectra_kit.learning.networks import Batch, Network, pooled
+from spectra_kit.linalg.torch_device import check_device
 from spectra_kit.training import checkpoint
 
 _WARMUP = 0.1  # of all steps
@@ -124,6 +125,7 @@ def fit(
     training: Training,
     corners: Sequence[Tensor] = (),
     folder: Path | None = None,
+    device: str = "cpu",
     progress: bool = False,
     watch: Callable[[Model, int], dict[str, float]] | None = None,
 ) -> tuple[Model, list[dict[str, float]]]:
@@ -131,10 +133,10 @@ def fit(
 
     Labels are () of whole shapes, (n,) of points, or with corners (f, 3) of their faces (f,);
     `UNKNOWN` where nothing is known. With a folder, its checkpoint is written after each epoch, and
-    gone on from: the result is that of a run without an interruption. `watch` may measure the model
-    after each epoch, whose number it is told.
+    gone on from: the result is that of a run without an interruption. The model comes back on the
+    CPU, wherever it was trained. `watch` may measure it after each epoch, whose number it is told.
     """
-    whole = labels[0].ndim == 0
+    whole, place = labels[0].ndim == 0, check_device(device)
     if training.points is not None and network.sees:
         raise InvalidInputError(
             "points",
@@ -142,11 +144,12 @@ def fit(
             training.points,
             advice="sample the shapes themselves, with `Recipe.points`",
         )
-    with torch.random.fork_rng(devices=[]):
+    with torch.random.fork_rng(devices=[place] if place.type == "cuda" else []):
         torch.manual_seed(training.seed)
         first = batched(recipe, examples[:1])
         model = Model(network, first.features.shape[-1], classes, whole=whole)
         _scale(model, recipe, examples)
+        model.to(place)
         run = _Run(model, training, -(-len(examples) // _size(training, len(examples))))
         facts = _facts(recipe, network, training, examples, [*labels, *corners], classes)
         begun = _resumed(run, folder, facts)
@@ -162,7 +165,7 @@ def fit(
             shown.set_postfix({name: f"{value:.3g}" for name, value in seen.items()})
             if folder is not None:
                 checkpoint.write(folder, run.state(facts))
-    return model.eval(), run.curve
+    return model.to("cpu").eval(), run.curve
 
 
 def hash_of(*numbers: int) -> int:
@@ -262,10 +265,11 @@ def _epoch(
         chosen = order[start : start + size]
         some, truth = _drawn([examples[i] for i in chosen], [labels[i] for i in chosen], run, rng)
         turned = Tensor(Rotation.random(len(chosen), rng=rng).as_matrix())
-        logits = model(batched(recipe, some, rotations=turned if recipe.turns else None))
+        shown = batched(recipe, some, rotations=turned if recipe.turns else None)
+        logits = model(shown.to(model.mean.device))
         if corners:
             logits = _at_faces(logits, [corners[i] for i in chosen])
-        loss = _loss(logits, truth, training.smoothing)
+        loss = _loss(logits, truth.to(logits.device), training.smoothing)
         run.optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         run.optimizer.step()
@@ -276,7 +280,7 @@ def _epoch(
 
 def _at_faces(logits: Tensor, corners: Sequence[Tensor]) -> Tensor:
     """Return the means (b, f, classes) over the corners of all faces, padded."""
-    means = [own[rows].mean(1) for own, rows in zip(logits, corners, strict=True)]
+    means = [own[rows.to(own.device)].mean(1) for own, rows in zip(logits, corners, strict=True)]
     return pad_sequence(means, batch_first=True)
 
 
@@ -330,5 +334,7 @@ def predicted(model: Model, recipe: Recipe, example: Example) -> Floats:
     rotations = _TURNED if recipe.turns else [None]
     with torch.no_grad():
         turned = [batched(recipe, [example], rotations=rotation) for rotation in rotations]
-        logits = [model(batch)[0].double().softmax(-1) for batch in turned]
+        logits = [
+            model(batch.to(model.mean.device))[0].double().softmax(-1).cpu() for batch in turned
+        ]
     return np.asarray(torch.stack(logits).mean(dim=0))

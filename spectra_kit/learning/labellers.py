@@ -227,6 +227,7 @@ def train_classifier(
     names: Sequence[str] | None = None,
     training: Training = Training(),  # noqa: B008
     folder: str | os.PathLike[str] | None = None,
+    device: str = "cpu",
     progress: bool = False,
 ) -> Classifier:
     """Learn to tell what shapes are from labelled ones.
@@ -248,6 +249,9 @@ def train_classifier(
         Of a network; heads have nothing to be trained for.
     folder : path, optional
         Where a network's checkpoints go; the same call goes on from there.
+    device : str, default "cpu"
+        Where a network is trained: ``"cuda"``. It labels on the CPU. Modes are computed where the
+        solver of the recipe does: ``Neo(device="cuda")``.
     progress : bool, default False
         Show it.
 
@@ -259,7 +263,8 @@ def train_classifier(
     Raises
     ------
     InvalidInputError
-        If labels do not fit the shapes, a class has no example, or there is only one class.
+        If labels do not fit the shapes, a class has no example, there is only one class, or torch
+        cannot use the device.
     MissingDependencyError
         Without the packages that the method needs.
 
@@ -291,6 +296,7 @@ def train_classifier(
         classes=len(called),
         training=training,
         folder=None if folder is None else Path(folder),
+        device=device,
         progress=progress,
     )
     return Classifier(called, recipe, method, model)
@@ -307,6 +313,7 @@ def train_segmenter(
     names: Sequence[str] | None = None,
     training: Training = Training(),  # noqa: B008
     folder: str | os.PathLike[str] | None = None,
+    device: str = "cpu",
     progress: bool = False,
 ) -> Segmenter:
     """Learn to tell what parts the points of shapes are from labelled ones.
@@ -320,7 +327,7 @@ def train_segmenter(
     of : {"points", "faces"}, default "points"
         Whose labels these are. Where faces of meshes are labelled, learn from these: a point on the
         border of two parts belongs to both.
-    recipe, method, names, training, folder, progress
+    recipe, method, names, training, folder, device, progress
         As of `train_classifier`; the method is a network.
 
     Returns
@@ -386,6 +393,7 @@ def train_segmenter(
         training=training,
         corners=corners,
         folder=None if folder is None else Path(folder),
+        device=device,
         progress=progress,
     )
     return Segmenter(called, recipe, method, model)

@@ -1,7 +1,8 @@
 """Networks that label shapes or their points, from any embedding.
 
 A network is a frozen dataclass of its sizes; ``build(inputs, outputs)`` returns the module. It maps
-a `Batch` of b shapes with up to n points to features (b, n, D). Read `DiffusionNet` last.
+a `Batch`, or a `ShapeBatch`, of b shapes with up to n points to features (b, n, D). Read
+`DiffusionNet` last.
 """
 
 from __future__ import annotations
@@ -39,6 +40,23 @@ class Batch(NamedTuple):
     eigenvectors: Tensor | None = None  #: (b, n, k), zero at padding
     slopes: tuple[Tensor, Tensor] | None = None  #: (b n, b n), sparse: along the tangents
 
+    def to(self, device: str | torch.device) -> Batch:
+        """Return the same on a device."""
+
+        def moved(part: Tensor | None) -> Tensor | None:
+            return None if part is None else part.to(device)
+
+        along, across = self.slopes or (None, None)
+        features, points, mass = (part.to(device) for part in self[:3])
+        return Batch(
+            features,
+            points,
+            mass,
+            moved(self.eigenvalues),
+            moved(self.eigenvectors),
+            None if along is None or across is None else (along.to(device), across.to(device)),
+        )
+
 
 @runtime_checkable
 class Network(Protocol):
@@ -50,7 +68,7 @@ class Network(Protocol):
         ...
 
     def build(self, inputs: int, outputs: int) -> nn.Module:
-        """Return a module from a `Batch` with that many channels to (b, n, outputs)."""
+        """Return a module from a `Batch` with so many features to (b, n, outputs)."""
         ...
 
 
@@ -62,6 +80,18 @@ def _layers(*sizes: int, dropout: float = 0.0) -> nn.Sequential:
         if dropout:
             parts.append(nn.Dropout(dropout))
     return nn.Sequential(*parts)
+
+
+def _features(batch: Batch, inputs: int) -> Tensor:
+    """Return the features of a batch, if a network was built for as many."""
+    if (given := batch.features.shape[-1]) != inputs:
+        raise InvalidInputError(
+            "features",
+            f"have the {inputs} channels that the network was built for",
+            given,
+            advice=f"build({given}, outputs) makes one for these",
+        )
+    return batch.features
 
 
 class _NoOperator:
@@ -99,11 +129,12 @@ class PointMLP(_NoOperator):
 class _PointMLP(nn.Module):
     def __init__(self, sizes: PointMLP, inputs: int, outputs: int) -> None:
         super().__init__()
+        self.inputs = inputs
         self.layers = _layers(inputs, *[sizes.width] * sizes.depth)
         self.out = nn.Linear(sizes.width, outputs)
 
     def forward(self, batch: Batch) -> Tensor:
-        out: Tensor = self.out(self.layers(batch.features))
+        out: Tensor = self.out(self.layers(_features(batch, self.inputs)))
         return out
 
 
@@ -136,13 +167,14 @@ class PointNet(_NoOperator):
 class _PointNet(nn.Module):
     def __init__(self, width: int, inputs: int, outputs: int) -> None:
         super().__init__()
+        self.inputs = inputs
         self.near = _layers(inputs, width, width)
         self.far = _layers(width, 2 * width, 4 * width)
         self.both = _layers(5 * width, 2 * width, width)
         self.out = nn.Linear(width, outputs)
 
     def forward(self, batch: Batch) -> Tensor:
-        near = self.near(batch.features)
+        near = self.near(_features(batch, self.inputs))
         far = self.far(near).masked_fill(batch.mass[..., None] == 0, -torch.inf).amax(1)
         far = far[:, None].expand(-1, near.shape[1], -1)
         out: Tensor = self.out(self.both(torch.cat([near, far], dim=-1)))
@@ -207,8 +239,9 @@ class _Hierarchical(nn.Module):
 
     def forward(self, batch: Batch) -> Tensor:
         # Neighbours and centres are searched among all points: padding must not be one.
+        known_of = _features(batch, self.known) if self.known else batch.features
         answers = []
-        for points, mass, features in zip(batch.points, batch.mass, batch.features, strict=True):
+        for points, mass, features in zip(batch.points, batch.mass, known_of, strict=True):
             own = mass > 0
             known = features[own][None] if self.known else None
             answers.append(self.backbone.features(points[own][None], mass[own][None], known)[0])
@@ -265,6 +298,7 @@ class DiffusionNet:
 class _DiffusionNet(nn.Module):
     def __init__(self, sizes: DiffusionNet, inputs: int, outputs: int) -> None:
         super().__init__()
+        self.inputs = inputs
         self.enter = nn.Linear(inputs, sizes.width)
         self.blocks = nn.ModuleList(
             _DiffusionBlock(sizes.width, sizes.dropout) for _ in range(sizes.depth)
@@ -272,7 +306,11 @@ class _DiffusionNet(nn.Module):
         self.out = nn.Linear(sizes.width, outputs)
 
     def forward(self, batch: Batch) -> Tensor:
-        x = self.enter(batch.features)
+        if batch.eigenvectors is None or batch.slopes is None:
+            raise InvalidInputError(
+                "batch", "hold modes and 'gradient', for DiffusionNet", "one without"
+            )
+        x = self.enter(_features(batch, self.inputs))
         for block in self.blocks:
             x = block(x, batch)
         out: Tensor = self.out(x)

@@ -126,6 +126,22 @@ class ShapeBatch(NamedTuple):
     gradient_y: Tensor | None = None
     labels: Tensor | None = None
 
+    @property
+    def features(self) -> Tensor:
+        """What networks see of each point: where it is, and its descriptors, (b, n, 3 + c).
+
+        For others, make a `Batch` of them and what else is here.
+        """
+        signatures = [part for part in self.descriptors.values() if part.ndim == 3]
+        return torch.cat([self.points, *signatures], dim=-1)
+
+    @property
+    def slopes(self) -> tuple[Tensor, Tensor] | None:
+        """Both gradients, as networks take them; None where they were not asked for."""
+        if self.gradient_x is None or self.gradient_y is None:
+            return None
+        return self.gradient_x, self.gradient_y
+
     def to(self, device: str | torch.device) -> ShapeBatch:
         """Return the same on a device."""
         return ShapeBatch(*(_moved(part, device) for part in self))

@@ -244,11 +244,14 @@ def _as_indices(name: str, values: ArrayLike, n: int) -> Ints:
 
 
 def lumped_diagonal(mass: Any) -> ArrayLike:
-    """Return the diagonal of a diagonal mass matrix, anything else as it is."""
+    """Return the diagonal of a diagonal mass matrix, a column as a vector, others as they are."""
     if not sparse.issparse(mass):
-        if np.ndim(mass) != 2:
+        mass = np.asarray(mass)
+        if mass.ndim != 2:
             return np.asarray(mass)
-        mass = sparse.csr_array(np.asarray(mass))
+        if mass.shape[1] == 1:  # the row sums of a scipy.sparse matrix
+            return np.asarray(mass[:, 0])
+        mass = sparse.csr_array(mass)
     diagonal: Floats = mass.diagonal()
     coordinates = sparse.coo_array(mass)
     off = coordinates.row != coordinates.col

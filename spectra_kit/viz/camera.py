@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from spectra_kit._checked import checked
@@ -21,6 +22,9 @@ _AZIMUTHS = np.deg2rad([30, -30, 60, -60, 150, -150, 120, -120])
 _ELEVATION = np.deg2rad(22.0)
 _STEEP = np.deg2rad(55.0)  # for what lies flat, like a sheet or a terrain
 _STANDS = 0.1  # of the footprint that the lowest layer spans, at least, under what stands
+_RATHER = 1.5  # times as much support makes the top a likelier side to stand on than the bottom
+_TILT = np.cos(np.deg2rad(20))  # how level a face must lie on the floor, to be stood on
+_TOP, _AT_AN_END = 0.15, 0.2  # of the height; of the width that it lies away from the middle
 _PLANE = 1e-3  # thinner than this, relative to its width, is no more than a plane
 _GRID = 40
 _CLEARLY = 1.06  # a later view must show this much more than an earlier one
@@ -46,9 +50,11 @@ class View:
 
     Notes
     -----
-    Up is y, or z where the geometry stands on that side, and more broadly, or what is said. Of
-    eight oblique views the one that covers most of the picture plane wins, earlier ones when in
-    doubt. Front and back are not told apart. What lies in a plane is faced, unless `up` is given.
+    Up is y, or z where the geometry stands on that side, and more broadly, or what is said; and
+    the other way round where it stands on nothing below, but could be put down on what is above.
+    Of eight oblique views the one that covers most of the picture plane wins, earlier ones when in
+    doubt, of those that see the head come towards them, where what is highest lies at one end, as
+    of animals. What lies in a plane is faced, unless `up` is given.
 
     Examples
     --------
@@ -74,12 +80,19 @@ class View:
         if up is None:
             if (facing := _facing(points)) is not None:
                 return _turned(facing, facing[1], turn)
-            up = "z" if _stands_on(points, 2) > max(_stands_on(points, 1), _STANDS) else "y"
+            stands = {axis: _stands_on(points, "xyz".index(axis)) for axis in ("y", "z")}
+            up = "z" if stands["z"] > max(stands["y"], _STANDS) else "y"
+            if stands[up] < _STANDS:
+                below, above = _support(points, "xyz".index(up))
+                turned_over = _stands_on(-points, "xyz".index(up)) >= _STANDS
+                up = f"-{up}" if above > below * (1 if turned_over else _RATHER) else up
         axis, size = "xyz".index(up[-1]), np.ptp(points, axis=0)
         vertical = np.eye(3)[axis] * (-1 if up.startswith("-") else 1)
         flat = size[axis] < 0.12 * np.delete(size, axis).min()
         elevation = _STEEP if flat else _ELEVATION
         views = [_rotation(vertical, azimuth, elevation) for azimuth in _AZIMUTHS]
+        head = _head(points, vertical)
+        views = [view for view in views if head is None or view[2] @ head > 0]
         shown = [_coverage(points @ view.T) for view in views]
         best = 0
         for i in range(1, len(views)):
@@ -113,6 +126,28 @@ def _stands_on(points: Floats, axis: int) -> float:
     if (centre < low).any() or (centre > high).any():
         return 0.0
     return float(np.prod(high - low) / max(np.prod(np.ptp(flat, axis=0)), 1e-300))
+
+
+def _support(points: Floats, axis: int) -> tuple[float, float]:
+    """Area of what a geometry could stand on, below and above: level faces of its hull."""
+    try:
+        hull = ConvexHull(points)
+    except QhullError:  # on a plane, or a line
+        return 0.0, 0.0
+    a, b, c = points[hull.simplices].transpose(1, 0, 2)
+    level = hull.equations[:, axis]
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) * np.abs(level) / 2
+    return float(area[level < -_TILT].sum()), float(area[level > _TILT].sum())
+
+
+def _head(points: Floats, vertical: Floats) -> Floats | None:
+    """The level direction in which what is highest lies, if it lies at an end; else None."""
+    height = points @ vertical
+    flat = points - points.mean(axis=0)
+    flat -= (flat @ vertical)[:, None] * vertical
+    away = flat[height >= height.max() - _TOP * np.ptp(height)].mean(axis=0)
+    width = float(np.ptp(flat, axis=0).max())
+    return away if np.linalg.norm(away) > _AT_AN_END * width else None
 
 
 def _rotation(vertical: Floats, azimuth: float, elevation: float) -> Floats:

@@ -209,7 +209,7 @@ def display_signs(eigenvectors: Floats) -> Floats:
 
 
 def _residual(spectrum: Spectrum, mode: int) -> str:
-    """The relative residual of a mode in words, and how far its eigenvalue is off, if known."""
+    """How far the eigenvalue of a mode is off, if known, and its relative residual, in words."""
     certificate = spectrum.certificate
     if certificate is None:
         return "not certified"
@@ -217,4 +217,4 @@ def _residual(spectrum: Spectrum, mode: int) -> str:
     if certificate.errors is None:
         return told
     kind = "≤" if certificate.bounded[mode] else "≈"
-    return f"{told}, error {kind} {short(certificate.errors[mode])}"
+    return f"eigenvalue off by {kind} {short(certificate.errors[mode])}, {told}"

@@ -175,7 +175,7 @@ def test_compare_measures_a_prediction(files, capsys):
     assert len(result["match"]) == 10
     assert result["span_dimension"] == 16  # six more modes were solved for
     assert result["open_from"] == 10  # so the end of the last cluster is known
-    assert told["verdict"].startswith("every eigenvalue is within 10%; the farthest off is that")
+    assert told["verdict"].startswith("no eigenvalue is farther off than that of mode")
     assert told["predicted"]["verdict"] == told["reference"]["verdict"] == ""
 
 

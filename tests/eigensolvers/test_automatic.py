@@ -91,7 +91,7 @@ def test_it_is_the_default() -> None:
     np.testing.assert_array_equal(ours.eigenvectors, theirs.eigenvectors)
     assert ours.provenance.solver == theirs.provenance.solver
     assert (ours.provenance.reason, theirs.provenance.reason) == (
-        "642 points are few for 9 modes",
+        "an exact solution is quickest for 9 modes of 642 points",
         "",
     )
     assert theirs.provenance.choice == "arpack"
@@ -245,7 +245,10 @@ def test_small_parts_are_solved_exactly() -> None:
     """What solved is told, and counted where nothing is approximate."""
     small = [TriangleMesh(bumpy().points + [4.0 * i, 0, 0], bumpy().faces) for i in (1, 2)]
     found = sk.eigensolve(sk.robust_laplacian(joined(*small)), 20, sk.Cascade())
-    assert found.provenance.choice == "arpack: 642 points are few for 18 modes"
+    assert (
+        found.provenance.choice
+        == "arpack: an exact solution is quickest for 18 modes of 642 points"
+    )
     assert (found.provenance.accuracy, found.certificate.level) == ("exact", "verified")
     whole = sk.robust_laplacian(joined(creature(6000, seed=0), *small))
     found = sk.eigensolve(whole, 40, sk.Cascade())

@@ -16,7 +16,16 @@ from torch.utils.data import DataLoader
 import spectra_kit as sk
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.geometry import TriangleMesh, creature, rectangle, torus, write
-from spectra_kit.learning import Batch, DiffusionNet, StoreDataset, collate, normalized
+from spectra_kit.learning import (
+    Batch,
+    DiffusionNet,
+    Hierarchical,
+    PointMLP,
+    PointNet,
+    StoreDataset,
+    collate,
+    normalized,
+)
 from spectra_kit.operators import tangent_gradient
 from spectra_kit.store import Plan, SpectrumStore, complete
 
@@ -437,3 +446,38 @@ def test_its_layers_answer_a_batch_as_each_shape(published, store):
         for i, item in enumerate(items):
             alone = answer(item.points, item.diffusion_net(), item.faces)
             torch.testing.assert_close(together[i][batch.face_mask[i]], alone, rtol=1e-3, atol=1e-3)
+
+
+@torch.no_grad()
+@pytest.mark.parametrize(
+    "network",
+    [PointMLP(), PointNet(), DiffusionNet(), Hierarchical(backbone="pointnet++")],
+    ids=str,
+)
+def test_networks_take_a_batch_of_a_store_as_it_is(store, network) -> None:
+    dataset = StoreDataset(store, PLAN)
+    shapes = collate([*dataset])
+    channels = 3 + sum(part.shape[-1] for part in shapes.descriptors.values() if part.ndim == 3)
+    torch.manual_seed(0)
+    module = network.build(channels, 8).eval()
+    answers = module(shapes)
+    assert answers.shape == (*shapes.mask.shape, 8)
+    fields = (shapes.mass, shapes.eigenvalues, shapes.eigenvectors, shapes.slopes)
+    assert torch.equal(module(Batch(shapes.features, shapes.points, *fields)), answers)
+    assert torch.equal(module(shapes.to("cpu")), answers)
+    for item, answer in zip(dataset, answers, strict=True):
+        n = len(item.points)
+        torch.testing.assert_close(module(collate([item]))[0], answer[:n], atol=1e-4, rtol=1e-3)
+    refused(
+        "features",
+        f"have the {channels + 1} channels that the network was built for, got {channels};",
+        network.build(channels + 1, 8),
+        shapes,
+    )
+
+
+def test_a_network_tells_what_a_batch_lacks(store) -> None:
+    shapes = collate([*StoreDataset(store, PLAN, operators=())])
+    assert shapes.slopes is None
+    module = DiffusionNet().build(shapes.features.shape[-1], 2)
+    refused("batch", "hold modes and 'gradient', for DiffusionNet", module, shapes)

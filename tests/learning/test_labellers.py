@@ -4,6 +4,7 @@ import json
 import sys
 import time
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pytest
@@ -651,3 +652,24 @@ def test_a_checkpoint_of_another_kind(tmp_path):
             [BALL], [north(BALL)], recipe=recipe, method=PointMLP(width=4),
             folder=tmp_path / "file",
         )  # fmt: skip
+
+
+@pytest.mark.parametrize("device", ["cpu"] + ["cuda"] * torch.cuda.is_available())
+def test_what_is_trained_anywhere_labels_on_the_cpu(device):
+    ball = sphere(subdivisions=2).geometry
+    high = (ball.points[:, 2] > 0).astype(int)
+    known = train_segmenter(
+        [ball], [high], recipe=Recipe(embeddings=(Coordinates(),), upright=True),
+        method=PointMLP(width=8), training=Training(epochs=150), device=device,
+    )  # fmt: skip
+    assert {part.device.type for part in known.learned.parameters()} == {"cpu"}
+    assert (known.segment(ball).labels == high).mean() > 0.95
+    known.learned.to(device)
+    assert (known.segment(ball).labels == high).mean() > 0.95
+
+
+def test_a_device_that_is_not_there():
+    meshes = [sphere(subdivisions=1).geometry, torus(n=100).geometry]
+    recipe, method = Recipe(embeddings=(Coordinates(),)), PointNet(width=8)
+    call = partial(train_classifier, meshes, [0, 1], recipe=recipe, method=method)
+    refused("device", "be one that torch can use here, got 'tpu9'", call, device="tpu9")

@@ -41,7 +41,8 @@ def listed(page: str) -> set[str]:
     """Names that a page of the reference has: entries of its tables, and its constants."""
     text = (DOCS / "api" / page).read_text()
     tables = re.findall(r"\.\. autosummary::\n(?:   :.*\n)*\n((?:   \S+\n)+)", text)
-    return set("".join(tables).split()) | set(re.findall(r"^\.\. data:: (\w+)", text, re.M))
+    lines = re.findall(r"^(?:\.\. data:: (\w+)|- `([\w.]+) <)", text, re.M)
+    return set("".join(tables).split()) | {constant or package for constant, package in lines}
 
 
 def public_names(module: ModuleType) -> set[str]:
@@ -134,17 +135,33 @@ def write_notebook(path: Path, text: str) -> None:
 
 
 def test_notebooks_become_pages_with_a_list_of_their_questions(tmp_path: Path) -> None:
-    gather = load(DOCS / "extensions/notebook_pages.py").gather
+    module = load(DOCS / "extensions/notebook_pages.py")
     source, pages = tmp_path / "source", tmp_path / "pages"
     source.mkdir()
     pages.mkdir()
     write_notebook(source / "a.ipynb", "# A\n\n**What is a?** This.")
     write_notebook(source / "b.ipynb", "# B\n\nWe ask. And\nwhy b?")
     (pages / "gone.ipynb").write_text("of a notebook that was renamed")
-    gather(source, pages)
-    assert sorted(path.name for path in pages.iterdir()) == ["a.ipynb", "b.ipynb", "questions.inc"]
+    module.gather(source, pages)
+    assert sorted(path.name for path in pages.iterdir()) == ["a.ipynb", "b.ipynb"]
     assert (pages / "b.ipynb").read_bytes() == (source / "b.ipynb").read_bytes()
-    assert (pages / "questions.inc").read_text().splitlines() == [
-        "- [A](pages/a.ipynb): What is a?",
-        "- [B](pages/b.ipynb): And why b?",
+    assert module.listed(f"These:\n{module.BEGIN}- old\n", source).splitlines() == [
+        "These:",
+        module.BEGIN.strip(),
+        "",
+        "- [A](../notebooks/a.ipynb): What is a?",
+        "- [B](../notebooks/b.ipynb): And why b?",
     ]
+
+
+def test_the_repository_shows_what_the_build_writes() -> None:
+    notebooks, commands = (
+        load(DOCS / f"extensions/{name}.py") for name in ("notebook_pages", "command_help")
+    )
+    page = notebooks.PAGE.read_text()
+    assert page == notebooks.listed(page, ROOT / "notebooks"), "build the site"
+    page = commands.PAGE.read_text()
+    assert page == commands.whole(page), "python docs/extensions/command_help.py"
+    packages = load(DOCS / "extensions/package_list.py")
+    page = packages.PAGE.read_text()
+    assert page == packages.whole(page), "build the site"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
+import pickle
 import typing
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,7 @@ import trimesh
 from test_wrong_arguments import DrawnError, call_of, here, instances, surface
 
 import spectra_kit as sk
+from spectra_kit import learning
 from spectra_kit._checked import _LATE
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.geometry import PointCloud, TriangleMesh
@@ -134,3 +137,33 @@ def test_swapped_arguments_are_told_before_a_path_is_read() -> None:
     with pytest.raises(InvalidInputError) as error:
         sk.write("out.obj", instances()["TriangleMesh"])
     assert error.value.advice == "did you swap it with `path`?"
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("spectum", "did you mean sk.spectrum"),
+        ("heat_geodesics", "did you mean sk.HeatGeodesics"),
+        ("curvature", r"dir\(spectra_kit\) lists what it has"),
+    ],
+)
+def test_a_name_that_is_not_there_comes_with_one_that_is(name, hint) -> None:
+    with pytest.raises(AttributeError, match=hint):
+        getattr(sk, name)
+
+
+def test_records_name_what_they_have() -> None:
+    repaired = sk.geometry.repair(sk.geometry.sphere(subdivisions=1).geometry)
+    with pytest.raises(AttributeError, match="Repaired has no attribute 'mesh'; it has geometry,"):
+        repaired.mesh  # noqa: B018
+    assert copy.deepcopy(repaired).geometry.n == pickle.loads(pickle.dumps(repaired)).geometry.n
+
+
+def test_a_problem_shows_what_helps() -> None:
+    problem = sk.geometry.Problem(2, "2 faces have no area", "drop them with {}", ("repair(mesh)",))
+    assert repr(problem) == "Problem(2, '2 faces have no area: drop them with repair(mesh)')"
+
+
+def test_a_missing_file_is_said_to_be_missing(tmp_path) -> None:
+    with pytest.raises(sk.InvalidFileError, match="there is no such labeller; looked from"):
+        learning.load_labeller(tmp_path / "nothing.safetensors")

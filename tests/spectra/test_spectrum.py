@@ -11,7 +11,8 @@ from functools import partial
 import numpy as np
 import pytest
 from conftest import bumpy, moved, whole_spectrum
-from scipy import sparse
+from scipy import linalg, sparse
+from scipy.spatial import cKDTree
 
 from spectra_kit import (
     Arpack,
@@ -21,20 +22,29 @@ from spectra_kit import (
     Laplacian,
     ModeCount,
     Spectrum,
+    cotan_laplacian,
     eigensolve,
     robust_laplacian,
     verify,
 )
-from spectra_kit.errors import InvalidFileError
+from spectra_kit.errors import IgnoredContentWarning, InvalidFileError
+from spectra_kit.functional_maps import (
+    functional_map_from_point_map,
+    point_map_from_functional_map,
+)
 from spectra_kit.geometry import rectangle, sphere
 from spectra_kit.interop import (
     from_arrays,
     from_diffusion_net,
     from_geomfum,
+    from_geomfum_map,
     from_pyfm,
+    from_pyfm_map,
     to_diffusion_net,
     to_geomfum,
+    to_geomfum_map,
     to_pyfm,
+    to_pyfm_map,
 )
 from spectra_kit.operators import tangent_gradient
 
@@ -350,6 +360,7 @@ def test_files_without_the_name_of_the_solver(tmp_path, spectrum, made, name, ac
 
 
 VALUES, VECTORS, ONES = np.arange(3.0), np.eye(4)[:, :3], np.ones(4)
+BESIDE = np.eye(4) + 0.1 * np.eye(4, k=1) + 0.1 * np.eye(4, k=-1)  # a mass that is not diagonal
 
 
 def test_what_is_refused(spectrum, bumpy_laplacian) -> None:
@@ -388,6 +399,13 @@ def test_what_is_refused(spectrum, bumpy_laplacian) -> None:
         (lambda: spectrum.rescale(2).certify(bumpy_laplacian), InvalidInputError, "have the mass"),
         (lambda: zeros.certify(bumpy_laplacian), InvalidSpectrumError, "a column of zeros"),
         (lambda: from_arrays(VALUES, VECTORS, 2 * ONES), InvalidInputError, "be M-orthonormal"),
+        (
+            lambda: from_arrays(VALUES, VECTORS, 5 * BESIDE),
+            InvalidInputError,
+            "be M-orthonormal.*pass it whole",
+        ),
+        (lambda: from_arrays(VALUES, VECTORS, -BESIDE), InvalidInputError, "positive row sums"),
+        (lambda: from_arrays(VALUES, VECTORS, BESIDE[:2]), InvalidInputError, "have shape .4,. or"),
         (lambda: from_arrays(-VALUES, VECTORS, ONES), InvalidInputError, "up to rounding, got -"),
         (lambda: from_diffusion_net((U, mass)), InvalidInputError, "got 2 entries"),
         *(
@@ -433,6 +451,77 @@ def test_adapters_there_and_back(spectrum, bumpy_laplacian) -> None:
     assert np.array_equal(again.eigenvectors, net.eigenvectors)
     assert net.eigenvalues == pytest.approx(spectrum.eigenvalues, abs=1e-5)
     assert abs(L.to_dense().numpy() - bumpy_laplacian.stiffness.toarray()).max() < 1e-6
+
+
+def consistent_mass(mesh) -> sparse.csr_array:
+    """The mass of linear finite elements: a sixth of the area on the diagonal, a twelfth beside."""
+    corners = mesh.points[mesh.faces]
+    areas = np.linalg.norm(np.cross(*(corners[:, 1:] - corners[:, :1]).transpose(1, 0, 2)), axis=1)
+    i, j = (np.tile(mesh.faces, (1, 3)).ravel(), np.repeat(mesh.faces, 3, axis=1).ravel())
+    entries = np.repeat(areas / 2, 9) * np.where(i == j, 1 / 6, 1 / 12)
+    return sparse.csr_array(sparse.coo_array((entries, (i, j)), shape=(mesh.n, mesh.n)))
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        sparse.csr_matrix,
+        sparse.csc_array,
+        sparse.coo_array,
+        sparse.bsr_array,
+        sparse.lil_matrix,
+        lambda mass: mass.toarray(),
+        lambda mass: mass.toarray().tolist(),
+    ],
+)
+def test_modes_of_a_full_mass_are_carried_over_to_its_row_sums(form) -> None:
+    mesh = bumpy()
+    stiffness, mass = cotan_laplacian(mesh).stiffness, consistent_mass(mesh)
+    lumped = Laplacian(stiffness, mass.sum(axis=1), mesh.points)
+    values, vectors = linalg.eigh(stiffness.toarray(), mass.toarray(), subset_by_index=(0, 19))
+    truth = eigensolve(lumped, 20)
+    with pytest.warns(IgnoredContentWarning, match="beside its diagonal.*lump=True"):
+        brought = from_arrays(values, vectors, form(mass))
+    assert np.array_equal(brought.mass, lumped.mass)
+    assert brought.orthonormality_error() < 1e-12
+    assert np.linalg.matrix_rank(np.hstack([vectors, brought.eigenvectors]), tol=1e-8) == 20
+    # Ritz values: above those of the lumped problem, and far nearer than what was brought.
+    excess = brought.eigenvalues[1:] / truth.eigenvalues[1:] - 1
+    assert excess.min() > -1e-9
+    assert excess.max() < 0.02 * (values[1:] / truth.eigenvalues[1:] - 1).max()
+    assert brought.certify(lumped).certificate.level == "residuals"
+
+
+def test_a_mass_that_is_diagonal_in_any_form_is_the_lumped_one(spectrum) -> None:
+    mass, arrays = spectrum.mass, (spectrum.eigenvalues, spectrum.eigenvectors)
+    stored = sparse.coo_array(sparse.diags_array(mass) + 0 * sparse.eye_array(642, k=1))
+    for form in (mass, mass[:, None], np.diag(mass), sparse.diags(mass), stored):
+        assert np.array_equal(from_arrays(*arrays, form).mass, mass)
+
+
+def test_the_advice_for_a_full_mass_makes_a_laplacian(bumpy_laplacian) -> None:
+    mass, L = sparse.csc_matrix(consistent_mass(bumpy())), bumpy_laplacian
+    with pytest.raises(InvalidInputError, match="pass its row sums instead"):
+        Laplacian(L.stiffness, mass, L.points)
+    assert Laplacian(L.stiffness, mass.sum(axis=1), L.points).mass.shape == (L.n,)
+
+
+@pytest.mark.parametrize("sizes", [(1.0, 1.0), (1.0, 1000.0), (7.0, 0.02)])
+def test_functional_maps_of_pyfm_and_geomfum(spectrum, sizes) -> None:
+    # Their formulas, in the units of their modes: p2p_to_FM, and FM_to_p2p with the adjoint.
+    a, b = spectrum.rescale(sizes[0]), spectrum.rescale(sizes[1]).truncate(16)
+    point_map = np.random.default_rng(0).integers(0, a.n, b.n)
+    theirs = b.eigenvectors.T @ (b.mass[:, None] * a.eigenvectors[point_map])
+    ours = functional_map_from_point_map(a, b, point_map)
+    for there, back in ((to_pyfm_map, from_pyfm_map), (to_geomfum_map, from_geomfum_map)):
+        assert there(ours, a, b) == pytest.approx(theirs, abs=1e-10 * abs(theirs).max())
+        assert back(theirs, a, b) == pytest.approx(ours, abs=1e-12)
+        cut = there(ours[:9, :12], a, b)
+        nearest = cKDTree(a.eigenvectors[:, :12]).query(b.eigenvectors[:, :9] @ cut)[1]
+        found = point_map_from_functional_map(a, b, ours[:9, :12], adjoint=True)
+        assert np.array_equal(nearest, found)
+        with pytest.raises(InvalidInputError, match="functional_map"):
+            there(theirs.T, a, b)
 
 
 def test_provenance(bumpy_laplacian, spectrum) -> None:

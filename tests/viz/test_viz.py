@@ -7,6 +7,7 @@ import sys
 import time
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from spectra_kit import eigensolve, robust_laplacian, viz
 from spectra_kit.correspondence import MapErrors
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
-from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, write
+from spectra_kit.geometry import PointCloud, TriangleMesh, creature, rectangle, sphere, write
 from spectra_kit.metrics import compare_spectra
 from spectra_kit.viz import Page, Panel, View, drawer
 from spectra_kit.viz.pen import short
@@ -450,3 +451,37 @@ def test_a_backend_that_was_chosen_stays(tmp_path):
     with matplotlib.rc_context({"backend": "svg"}):
         viz.plot_spectrum(tmp_path / "a.png", SPECTRUM)
         assert matplotlib.rcParams["backend"] == "svg"
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("up", ["y", "z", "-y"])
+def test_an_animal_stands_on_its_feet_and_comes_with_its_head(seed, up):
+    # Creatures stand on z = 0 and look along x.
+    animal = creature(600, seed=seed)
+    sign, axis = (-1 if up.startswith("-") else 1), "xyz".index(up[-1])
+    turned = np.zeros((3, 3))
+    turned[:, axis] = np.eye(3)[2] * sign
+    turned[:, (axis + 1) % 3], turned[:, (axis + 2) % 3] = np.eye(3)[0], np.eye(3)[1] * sign
+    rotation = View().rotation(animal.with_points(animal.points @ turned)) @ turned.T
+    assert rotation[1, 2] > 0.9
+    assert rotation[2, 0] > 0
+
+
+@pytest.mark.data
+def test_most_animals_that_lie_on_their_backs_are_turned_over():
+    # SMAL's feet point along y.
+    folder = Path(os.environ["SPECTRA_KIT_DATA"]) / "smal_r"
+    upright = []
+    for path in sorted(folder.glob("*.npz")):
+        with np.load(path) as data:
+            upright.append(View().rotation(TriangleMesh(data["V"], data["F"]))[1, 1] < -0.9)
+    assert np.mean(upright) > 0.5
+
+
+def test_a_mesh_is_drawn_plain_and_from_where_it_is_asked(tmp_path):
+    animal = creature(600)
+    first, other = (
+        animal.plot(tmp_path / f"{name}.png", view=view).path.read_bytes()
+        for name, view in (("a", None), ("b", View("z", turn=90)))
+    )
+    assert first != other
