@@ -23,6 +23,8 @@ _OPTIONS = {
     "mesh.without_degenerate_faces()": "--repair",
     "mesh.without_duplicate_faces()": "--repair",
     "mesh.with_merged_vertices()": "--repair",
+    "geometry.repair(mesh)": "--repair",
+    "geometry.largest_component(mesh)": "--largest",
     "cloud.without_duplicates()": "--repair",
     **{f"{name}_laplacian": f"--operator {name}" for name in OPERATORS},
     **{name.capitalize(): f"--solver {name}" for name in SOLVERS},
