@@ -14,7 +14,7 @@ from spectra_kit._checked import checked
 from spectra_kit.geometry.seams import seams
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh, distinct_rows
 from spectra_kit.geometry.units import box_unit
-from spectra_kit.geometry.winding import against_neighbours, sides_of
+from spectra_kit.geometry.winding import wound_against
 
 
 @checked
@@ -230,8 +230,7 @@ def diagnose(geometry: Geometry) -> Diagnosis:
 def _face_counts(mesh: TriangleMesh) -> dict[str, Any]:
     edges, faces_at_edge = mesh.unique_edges
     n_used, n_faces = len(mesh.referenced_vertices), len(mesh.faces)
-    sides, cut = sides_of(mesh.faces, mesh.n), seams(mesh)
-    turned = against_neighbours(sides)
+    cut, (turned, clashing) = seams(mesh), wound_against(mesh)
     return {
         "n_faces": n_faces,
         "n_components": len(np.unique(mesh.component_labels[mesh.referenced_vertices])),
@@ -244,7 +243,7 @@ def _face_counts(mesh: TriangleMesh) -> dict[str, Any]:
         "near_points": cut.near if cut else 0,
         "seam_edges": cut.edges if cut else 0,
         "turned_faces": int(turned.sum()),
-        "clashing_edges": int(sides.turned(turned).clash.sum()),
+        "clashing_edges": clashing,
         "euler_characteristic": n_used - len(edges) + n_faces,
         "area": mesh.area,
     }

@@ -13,7 +13,7 @@ from spectra_kit._validate import Brief, frozen, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.seams import joined, seams
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh, distinct_rows
-from spectra_kit.geometry.winding import against_neighbours, sides_of, turn
+from spectra_kit.geometry.winding import turn, wound_against
 
 
 @checked
@@ -182,7 +182,7 @@ def repair(geometry: Geometry, *, merge: bool = True, tolerance: float | None = 
     new_index = np.full(whole.n, -1)
     new_index[used] = np.arange(len(used))
     clean = distinct.without_unreferenced()
-    turned = against_neighbours(sides_of(clean.faces, clean.n))
+    turned, _ = wound_against(clean)
     report = RepairReport(
         merged_points=merged,
         near_points=near,

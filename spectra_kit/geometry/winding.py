@@ -9,6 +9,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from spectra_kit._types import Bools, Ints
+from spectra_kit.geometry.shapes import TriangleMesh
 
 FLIP = [0, 2, 1]
 
@@ -47,6 +48,19 @@ def sides_of(faces: Ints, n: int) -> Sides:
     surplus = np.bincount(edge, np.where(upward, 1, -1)).astype(np.int64)
     edges = np.column_stack(np.divmod(keys, n))
     return Sides(edges, edge, upward, np.bincount(edge), surplus)
+
+
+def wound_against(mesh: TriangleMesh) -> tuple[Bools, int]:
+    """Return the faces of a mesh to turn, shape (f,), and the number of edges that clash then."""
+    i, j = mesh.faces.astype(np.int32), np.roll(mesh.faces, -1, axis=1).astype(np.int32)
+    ends = np.minimum(i, j).ravel(), np.maximum(i, j).ravel()
+    runs = np.where(i < j, 1, -1).astype(np.int16).ravel()
+    surplus = sparse.csr_array((runs, ends), shape=(mesh.n, mesh.n)).data  # as `unique_edges`
+    if not (np.abs(surplus) > mesh.unique_edges[1] % 2).any():  # as a rule
+        return np.zeros(len(mesh.faces), dtype=bool), 0
+    sides = sides_of(mesh.faces, mesh.n)
+    turned = against_neighbours(sides)
+    return turned, int(sides.turned(turned).clash.sum())
 
 
 def against_neighbours(sides: Sides) -> Bools:
