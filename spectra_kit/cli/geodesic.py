@@ -10,7 +10,7 @@ from spectra_kit._validate import check_positive, quantity
 from spectra_kit.cli import geodesic_setup as setup
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.geodesic_compare import Compared, clock_note, compare_solvers, comparison_table
-from spectra_kit.cli.inputs import load
+from spectra_kit.cli.inputs import Numbering, load
 from spectra_kit.cli.output import as_json, check_folder, drawing, tell, together
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.words import stem
@@ -49,7 +49,8 @@ def geodesic_distances(asked: program.Geodesic) -> None:
     check_folder(folder, _NUMBERS + pictures, _NUMBERS + _PICTURES, asked.inputs)
 
     geometry, numbers = load(asked.file, asked)
-    sources = setup.named_sources(asked, geometry, numbers)
+    kept = Numbering(None if asked.cloud else numbers, geometry.n)
+    sources = setup.named_sources(asked, geometry, kept)
     check_sources(sources or [0], geometry)
     with step(f"triangulating {geometry.n:,} points"):
         triangulation = intrinsic_delaunay(geometry)
@@ -78,13 +79,14 @@ def geodesic_distances(asked: program.Geodesic) -> None:
     with step(f"measuring the distance to {quantity(len(sources), 'source')}"):
         field = geodesics.distance(checked)
     compared = compare_solvers(asked, geometry, triangulation, checked) if asked.compare else []
-    record = _record(asked, geometry, triangulation, sources, spectrum, field)
+    in_file = [s if isinstance(s, FacePoint) else int(kept.first[s]) for s in sources]
+    record = _record(asked, geometry, triangulation, in_file, spectrum, field)
     record["spectrum_unused"] = unused or None
     if compared:
         record["comparison"] = [one.record() for one in compared]
     writing = together(folder, report=_NUMBERS[2], replacing=_PICTURES)
     with step(f"writing {folder}"), writing as part:
-        np.save(part / _NUMBERS[0], field.distance)
+        np.save(part / _NUMBERS[0], kept.spread(field.distance, np.nan))
         shades = distance_colours(field.distance).T
         values = dict(zip(("red", "green", "blue"), shades, strict=True))
         values["quality"] = field.distance  # as MeshLab calls it

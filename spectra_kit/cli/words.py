@@ -24,6 +24,7 @@ _OPTIONS = {
     "mesh.without_duplicate_faces()": "--repair",
     "mesh.with_merged_vertices()": "--repair",
     "geometry.repair(mesh)": "--repair",
+    "Plan(repair=True)": "--repair",
     "geometry.largest_component(mesh)": "--largest",
     "cloud.without_duplicates()": "--repair",
     **{f"{name}_laplacian": f"--operator {name}" for name in OPERATORS},

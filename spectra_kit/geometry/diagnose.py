@@ -47,6 +47,8 @@ class Problem:
         return self.told()
 
 
+UNJOINED = "unjoined"  # by which what was recorded of a shape is known to tell of seams
+
 # What a count of `Diagnosis` says of one and of several, and what helps: a call, "" for joining
 # points, or words.
 _PROBLEMS = {
@@ -61,8 +63,8 @@ _PROBLEMS = {
         "geometry.repair(mesh)",
     ),
     "seam_edges": (
-        "boundary edge lies on another, unjoined",
-        "boundary edges lie on others, unjoined",
+        f"boundary edge lies on another, {UNJOINED}",
+        f"boundary edges lie on others, {UNJOINED}",
         "geometry.repair(mesh)",
     ),
     "turned_faces": (

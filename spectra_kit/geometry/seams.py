@@ -2,7 +2,8 @@
 
 Formats that keep a normal or a texture with each vertex repeat the vertices at which these jump,
 and programs that transform the parts of a surface one by one round the copies differently. Points
-that are only near, and surfaces that touch in a point, are none: whole edges must lie on each other.
+that are only near, and surfaces that touch in a point, are none: edges must lie on each other as a
+whole.
 """
 
 from __future__ import annotations

@@ -126,4 +126,3 @@ def agreement(sides: Sides) -> float:
 def turn(faces: Ints, turned: Bools) -> Ints:
     """Return faces of which some are turned."""
     return np.where(turned[:, None], faces[:, FLIP], faces) if turned.any() else faces
-

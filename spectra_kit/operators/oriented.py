@@ -134,7 +134,8 @@ def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> Oriented
     Raises
     ------
     InvalidInputError
-        If a vertex of a mesh has no face or a face names one twice; if a cloud has fewer than four points, duplicates, or lies on a line.
+        If a vertex of a mesh has no face or a face names one twice; if a cloud has fewer than four
+        points, duplicates, or lies on a line.
 
     Notes
     -----

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import creature, refused
 
-from spectra_kit import InvalidInputError, Spectrum, TriangleMesh, robust_laplacian
+from spectra_kit import Spectrum, TriangleMesh, robust_laplacian
 from spectra_kit.correspondence import Truth, geodesic_errors
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.errors import DoubtfulMatchWarning
