@@ -9,6 +9,7 @@ whole.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -47,14 +48,18 @@ def joined(points: Floats, reach: Floats) -> Ints:
     tree = cKDTree(points)
     beside = tree.query(points, k=2)[0][:, 1]
     some = np.flatnonzero(beside <= reach)  # hardly any, as a rule
-    around = tree.query_ball_point(points[some], reach[some], return_sorted=True)
-    for i, near in zip(some.tolist(), around, strict=True):
-        if label[i] == i:
-            later = np.array(near, dtype=np.int64)
-            later = later[(later > i) & (label[later] == later)]
-            apart = np.linalg.norm(points[later] - points[i], axis=1)
-            label[later[apart <= reach[later]]] = i
-    return label
+    around = tree.query_ball_point(points[some], reach[some])
+    i = np.repeat(some, np.fromiter(map(len, around), np.int64, len(some)))
+    j = np.fromiter(chain.from_iterable(around), np.int64, len(i))
+    i, j = i[later := i < j], j[later]
+    apart = np.linalg.norm(points[i] - points[j], axis=1)
+    i, j = i[near := apart <= np.minimum(reach[i], reach[j])], j[near]
+    order = np.argsort(i, kind="stable")
+    leader = label.tolist()
+    for a, b in zip(i[order].tolist(), j[order].tolist(), strict=True):
+        if leader[a] == a and leader[b] == b:
+            leader[b] = a
+    return np.array(leader)
 
 
 def seams(mesh: TriangleMesh) -> Seams | None:
@@ -70,8 +75,8 @@ def seams(mesh: TriangleMesh) -> Seams | None:
     place = joined(points[first], _reach(mesh, vertices, place))[place]
     lines = np.sort(place[ends], axis=1)
     proper = lines[:, 0] < lines[:, 1]
-    _, line, alike = np.unique(lines, axis=0, return_inverse=True, return_counts=True)
-    line = line.ravel()
+    keys = lines[:, 0] * len(first) + lines[:, 1]
+    _, line, alike = np.unique(keys, return_inverse=True, return_counts=True)
     on_others = proper & (alike[line] > 1)
     if not on_others.any():
         return None
