@@ -10,7 +10,7 @@ from spectra_kit._validate import check_positive, quantity
 from spectra_kit.cli import geodesic_setup as setup
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.geodesic_compare import Compared, clock_note, compare_solvers, comparison_table
-from spectra_kit.cli.inputs import Numbering, load
+from spectra_kit.cli.inputs import load
 from spectra_kit.cli.output import as_json, check_folder, drawing, tell, together
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.words import stem
@@ -48,8 +48,7 @@ def geodesic_distances(asked: program.Geodesic) -> None:
     pictures = () if asked.no_pictures else _PICTURES if asked.compare else _PICTURES[:1]
     check_folder(folder, _NUMBERS + pictures, _NUMBERS + _PICTURES, asked.inputs)
 
-    geometry, numbers = load(asked.file, asked)
-    kept = Numbering(None if asked.cloud else numbers, geometry.n)
+    geometry, kept = load(asked.file, asked)
     sources = setup.named_sources(asked, geometry, kept)
     check_sources(sources or [0], geometry)
     with step(f"triangulating {geometry.n:,} points"):

@@ -61,17 +61,17 @@ class Numbering:
         """Return what points of the file are called now; -1 where they are not known."""
         return points if self.new is None else np.where(points < 0, -1, self.new[points])
 
-    def spread(self, values: Any, lacking: object) -> Any:
+    def spread(self, values: Any, lacking: float) -> Any:
         """Return values at matched points at all points of the file."""
         if self.new is None:
             return values
         return np.where(self.new < 0, lacking, values[self.new]).astype(values.dtype)
 
 
-def load(file: str, asked: Reading, *, pose: int = 0) -> tuple[Geometry, Ints | None]:
+def load(file: str, asked: Reading, *, pose: int = 0) -> tuple[Geometry, Numbering]:
     """Read or make a geometry; repair it, take its largest part, sample it, as was asked for.
 
-    Where points of the file were left out, the new number of each is returned too, -1 of those.
+    What has become of the points of the file is returned too; nothing of it where it was sampled.
     """
     geometry: Geometry
     numbers = None
@@ -103,7 +103,7 @@ def load(file: str, asked: Reading, *, pose: int = 0) -> tuple[Geometry, Ints | 
         check_count("--cloud", asked.cloud, low=1)
         with step(f"sampling {asked.cloud:,} points"):
             geometry = sample(geometry, asked.cloud, seed=asked.seed)
-    return geometry, numbers
+    return geometry, Numbering(None if asked.cloud else numbers, geometry.n)
 
 
 def _check_there(path: Path) -> None:

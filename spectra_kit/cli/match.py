@@ -83,12 +83,11 @@ def match_shapes(asked: program.Match) -> None:
     if is_demo:
         fewer = max(9 * asked.points // 10, 500)
         one, other, truth = creature_pair(asked.points, fewer, seed=asked.seed)
-        ways = None, None
+        there = Numbering(None, one.n), Numbering(None, other.n)
     else:
         one, first = load(asked.source, asked, pose=1)
         other, second = load(asked.target, asked, pose=2)
-        ways = (None, None) if sampled else (first, second)
-    there = Numbering(ways[0], one.n), Numbering(ways[1], other.n)
+        there = first, second
     _check_triangles(asked, one, other)
     if asked.truth:
         truth = _read_truth(asked.truth, there[0].n, there[1].n)
@@ -240,8 +239,8 @@ def _read_landmarks(path: Path, source: Numbering, target: Numbering) -> tuple[I
         try:
             first, second = map(whole, words)
         except ValueError as error:
-            found = f"{' '.join(words)[:60]!r} in line {number}"
-            raise InvalidFileError(path, InvalidInputError("--landmarks", _LINES, found)) from error
+            got = f"{' '.join(words)[:60]!r} in line {number}"
+            raise InvalidFileError(path, InvalidInputError("--landmarks", _LINES, got)) from error
         rows.append((first, second))
     if not rows:
         raise InvalidFileError(path, InvalidInputError("--landmarks", _LINES, "none"))

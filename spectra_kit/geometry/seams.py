@@ -14,7 +14,7 @@ from itertools import chain
 import numpy as np
 from scipy.spatial import cKDTree
 
-from spectra_kit._types import Floats, Ints
+from spectra_kit._types import Bools, Floats, Ints
 from spectra_kit._validate import quantity, warn
 from spectra_kit.errors import SplitSurfaceWarning
 from spectra_kit.geometry.shapes import TriangleMesh, distinct_rows
@@ -110,7 +110,7 @@ def _reach(mesh: TriangleMesh, vertices: Ints, place: Ints) -> Floats:
     return NEAR * shortest[:-1]
 
 
-def _two_sheets(mesh: TriangleMesh, boundary: Ints, line: Ints) -> np.ndarray:
+def _two_sheets(mesh: TriangleMesh, boundary: Ints, line: Ints) -> Bools:
     """Mark boundary edges on others whose faces lie on the same side: sheets on each other."""
     heads = np.roll(mesh.faces, -1, axis=1)
     sides = np.minimum(mesh.faces, heads) * mesh.n + np.maximum(mesh.faces, heads)
@@ -124,12 +124,12 @@ def _two_sheets(mesh: TriangleMesh, boundary: Ints, line: Ints) -> np.ndarray:
     across = mesh.points[apex] - start
     across = _unit(across - np.einsum("er,er->e", across, along)[:, None] * along)
     total = np.column_stack([np.bincount(line, column) for column in across.T])
-    return (np.linalg.norm(total, axis=1) > _ALIKE * np.bincount(line))[line]
+    return np.asarray((np.linalg.norm(total, axis=1) > _ALIKE * np.bincount(line))[line])
 
 
 def _unit(vectors: Floats) -> Floats:
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
+    return np.asarray(np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0))
 
 
 def warn_of_seams(mesh: TriangleMesh) -> None:

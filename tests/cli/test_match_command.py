@@ -92,6 +92,36 @@ def test_a_bent_and_remeshed_copy_by_landmarks(files, tmp_path, capsys):
     assert result["match"]["orientation"] > 0.5
 
 
+def test_a_speck_and_seams_leave_no_shape_out_and_maps_number_the_files(files, tmp_path, capsys):
+    """The target has a speck before it; faces of the source have corners of their own."""
+    animal = read(files / "animal.off")
+    speck = sphere(subdivisions=0).geometry
+    points = np.vstack([0.01 * speck.points + [3, 0, 0], animal.points])
+    write(TriangleMesh(points, np.vstack([speck.faces, animal.faces + 12])), tmp_path / "scan.off")
+    corners = animal.points[animal.faces].reshape(-1, 3)
+    flat = TriangleMesh(corners, np.arange(len(corners)).reshape(-1, 3))
+    write(flat, tmp_path / "flat.ply")
+    pair, out = (tmp_path / "flat.ply", tmp_path / "scan.off"), tmp_path / "out"
+    assert "--largest" in refused(capsys, files / "animal.off", pair[1], "-k", 40, "-o", out)
+    at = np.full(animal.n, -1)  # the first corner at each vertex
+    at[animal.faces.ravel()[::-1]] = np.arange(len(corners))[::-1]
+    truth = np.concatenate([np.full(12, -1), at])
+    np.save(tmp_path / "truth.npy", truth)
+    np.savetxt(tmp_path / "pairs.txt", np.c_[at, np.arange(animal.n) + 12][::40], fmt="%d")
+    command = (*pair, "-k", 60, "--repair", "--largest", "--precise", "-o", out)
+    known = ("--truth", tmp_path / "truth.npy", "--landmarks", tmp_path / "pairs.txt")
+    found = report(capsys, *command, *known)
+    assert found["match"]["mean_error"] == 0
+    np.testing.assert_array_equal(np.load(out / "point_map.npy"), truth)
+    precise = sparse.load_npz(out / "precise_map.npz")
+    assert precise.shape == (len(points), len(corners))
+    np.testing.assert_allclose(precise @ corners, np.vstack([np.zeros((12, 3)), animal.points]))
+    assert set(os.listdir(out)) == FILES | {"precise_map.npz"}
+    (tmp_path / "pairs.txt").write_text("0 3\n")  # on the speck
+    refusal = refused(capsys, *command, *known)
+    assert "`--landmarks` must name points that are matched, got (0, 3)" in refusal
+
+
 def test_clouds_are_matched_and_judged_as_far_as_they_can_be(files, tmp_path, capsys):
     pair = (files / "cloud.ply", files / "cloud.ply")
     result = report(capsys, *pair, "-k", 40, "-o", tmp_path / "out")
@@ -238,8 +268,8 @@ def test_bad_input_is_refused_before_the_work(files, tmp_path, capsys, monkeypat
         (("--truth", "short.npy"), "got int64 of shape (7,)"),
         (("--truth", "beyond.npy"), "are source and target exchanged?"),
         (("--truth", "several.npz"), "not a whole npy file of numbers (it begins"),
-        (("--truth", truth, "--repair"), "repair or sample first"),
-        (("--landmarks", landmarks, "--cloud", 700), "repair or sample first"),
+        (("--landmarks", landmarks, "--cloud", 700), "sample first"),
+        (("--truth", truth, "--cloud", 700), "sample first"),
         (("-o", tmp_path / "no" / "out"), "cannot make"),
         (("-o", tmp_path / "broken.npy"), "a file has that name"),
         (("--part", "--landmarks", landmarks), "--landmarks has no effect with --part; match"),
