@@ -110,16 +110,18 @@ def test_a_speck_and_seams_leave_no_shape_out_and_maps_number_the_files(files, t
     np.savetxt(tmp_path / "pairs.txt", np.c_[at, np.arange(animal.n) + 12][::40], fmt="%d")
     command = (*pair, "-k", 60, "--repair", "--largest", "--precise", "-o", out)
     known = ("--truth", tmp_path / "truth.npy", "--landmarks", tmp_path / "pairs.txt")
-    found = report(capsys, *command, *known)
-    assert found["match"]["mean_error"] == 0
+    told, err = printed(capsys, "match", *command, *known, "--no-pictures", "--json")
+    assert "the largest part: 600 points; 12 left out" in err
+    assert json.loads(told)["match"]["mean_error"] == 0
     np.testing.assert_array_equal(np.load(out / "point_map.npy"), truth)
     precise = sparse.load_npz(out / "precise_map.npz")
     assert precise.shape == (len(points), len(corners))
     np.testing.assert_allclose(precise @ corners, np.vstack([np.zeros((12, 3)), animal.points]))
     assert set(os.listdir(out)) == FILES | {"precise_map.npz"}
     (tmp_path / "pairs.txt").write_text("0 3\n")  # on the speck
-    refusal = refused(capsys, *command, *known)
-    assert "`--landmarks` must name points that are matched, got (0, 3)" in refusal
+    assert main([*map(str, ("match", *command, *known))]) == 2
+    told = capsys.readouterr().err
+    assert "`--landmarks` must name points that are matched, got (0, 3)" in told
 
 
 def test_clouds_are_matched_and_judged_as_far_as_they_can_be(files, tmp_path, capsys):
