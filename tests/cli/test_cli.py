@@ -259,6 +259,7 @@ def test_what_converged_is_saved(tmp_path, capsys, monkeypatch):
     assert f"20 modes, of which {converged} converged: " in message
 
 
+@pytest.mark.filterwarnings("always::spectra_kit.errors.SplitSurfaceWarning")
 def test_corners_that_are_not_joined_are_told(tmp_path, capsys) -> None:
     ball = sphere(subdivisions=1).geometry
     soup = TriangleMesh(ball.points[ball.faces.ravel()], np.arange(ball.faces.size).reshape(-1, 3))
