@@ -247,7 +247,10 @@ class DoubtfulDistanceWarning(SpectraKitWarning):
 
 
 class DoubtfulMatchWarning(SpectraKitWarning):
-    """A map between two surfaces is no better than one between shapes that do not correspond."""
+    """A map between two surfaces is no better than one between shapes that do not correspond.
+
+    Or what tells left from right is in doubt: which side of a surface is out.
+    """
 
 
 class DamagedEntryWarning(SpectraKitWarning):

@@ -118,6 +118,22 @@ def moved(mesh: TriangleMesh, *to: float, scale: float = 1.0) -> TriangleMesh:
     return mesh.with_points(scale * mesh.points + to)
 
 
+def moebius(n: int = 60, m: int = 6) -> TriangleMesh:
+    """A strip that is twisted once before its ends are joined: it has one side."""
+    around, across = np.meshgrid(np.arange(n), np.arange(m), indexing="ij")
+    angle = 2 * np.pi * around.ravel() / n
+    offset = 0.8 * (across.ravel() / (m - 1) - 0.5) + 0.01 * np.random.default_rng(0).random(n * m)
+    radius = 1 + offset * np.cos(angle / 2)
+    points = np.c_[radius * np.cos(angle), radius * np.sin(angle), offset * np.sin(angle / 2)]
+    i, j = np.arange(n)[:, None], np.arange(m - 1)
+    far = (i + 1) % n
+    turned = np.where(far == 0, m - 1 - np.arange(m), np.arange(m))  # upside down after a turn
+    a, b = i * m + j, i * m + j + 1
+    c, d = far * m + turned[:, 1:], far * m + turned[:, :-1]
+    faces = np.concatenate([np.stack([a, d, c], 2), np.stack([a, c, b], 2)])
+    return TriangleMesh(points, faces.reshape(-1, 3))
+
+
 def two_parts(gap: float = 5.0) -> TriangleMesh:
     """A sphere and a smaller bumpy body beside it: two components."""
     return joined(sphere(subdivisions=2).geometry, moved(bumpy(), gap, 0, 0, scale=0.5))

@@ -12,9 +12,10 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkabl
 
 from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
-from spectra_kit._validate import Brief
+from spectra_kit._validate import Brief, quantity, warn
 from spectra_kit.batch.inputs import Input, Named, Pair, refuse_twice
-from spectra_kit.errors import InvalidInputError, StoreError
+from spectra_kit.errors import InvalidInputError, SplitSurfaceWarning, StoreError
+from spectra_kit.geometry.diagnose import UNJOINED
 from spectra_kit.linalg.threads import ranges
 from spectra_kit.store import Completed, Plan, SpectrumStore, complete
 from spectra_kit.store.complete import known
@@ -206,7 +207,21 @@ def compute_all(
     results = work(tasks, engine=engine, strict=strict, progress=progress, before=before)
     for i, result in zip(todo, results, strict=True):
         found[i] = result
-    return report_of([*zip(inputs, found, strict=True)], clock)
+    report = report_of([*zip(inputs, found, strict=True)], clock)
+    cut = [
+        one.name
+        for one, done in report.completed
+        if any(UNJOINED in p for p in done.record.problems)
+    ]
+    if cut:
+        warn(
+            f"{quantity(len(cut), 'shape')} of {len(inputs):,}, such as {cut[0]!r}: boundary edges"
+            f" lie on others, {UNJOINED}, and cut the surface",
+            SplitSurfaceWarning,
+            advice="join them with {}",
+            remedies=("Plan(repair=True)",),
+        )
+    return report
 
 
 def report_of(told: Sequence[tuple[Named, Any]], clock: Clock) -> BatchReport[Named, Any]:

@@ -37,6 +37,7 @@ def batch(asked: program.Batch) -> None:
         operator=asked.operator,  # type: ignore[arg-type]
         boundary=asked.boundary,
         repair=asked.repair,
+        largest=asked.largest,
         cloud=asked.cloud,
         seed=asked.seed,
         descriptors=asked.descriptors,  # type: ignore[arg-type]

@@ -49,8 +49,8 @@ def geodesic_distances(asked: program.Geodesic) -> None:
     pictures = () if asked.no_pictures else _PICTURES if asked.compare else _PICTURES[:1]
     check_folder(folder, _NUMBERS + pictures, _NUMBERS + _PICTURES, asked.inputs)
 
-    geometry, numbers = load(asked.file, asked)
-    sources = setup.named_sources(asked, geometry, numbers)
+    geometry, kept = load(asked.file, asked)
+    sources = setup.named_sources(asked, geometry, kept)
     check_sources(sources or [0], geometry)
     with step(f"triangulating {geometry.n:,} points"):
         triangulation = intrinsic_delaunay(geometry)
@@ -81,13 +81,14 @@ def geodesic_distances(asked: program.Geodesic) -> None:
     with step(f"measuring the distance to {quantity(len(sources), 'source')}"):
         field = measure(sources)
     compared = compare_solvers(asked, geometry, triangulation, checked) if asked.compare else []
-    record = _record(asked, geometry, triangulation, sources, spectrum, field)
+    in_file = [s if isinstance(s, FacePoint) else int(kept.first[s]) for s in sources]
+    record = _record(asked, geometry, triangulation, in_file, spectrum, field)
     record["spectrum_unused"] = unused or None
     if compared:
         record["comparison"] = [one.record() for one in compared]
     writing = together(folder, report=_NUMBERS[2], replacing=_PICTURES)
     with step(f"writing {folder}"), writing as part:
-        np.save(part / _NUMBERS[0], field.distance)
+        np.save(part / _NUMBERS[0], kept.spread(field.distance, np.nan))
         shades = distance_colours(field.distance).T
         values = dict(zip(("red", "green", "blue"), shades, strict=True))
         values["quality"] = field.distance  # as MeshLab calls it

@@ -7,11 +7,11 @@ from typing import Literal
 
 import numpy as np
 
-from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import check_count, check_indices, quantity
+from spectra_kit._types import Floats
+from spectra_kit._validate import check_count, check_indices
 from spectra_kit.cli import program
+from spectra_kit.cli.inputs import Numbering
 from spectra_kit.cli.options import DEMO, NETWORK, refuse_given
-from spectra_kit.cli.progress import say
 from spectra_kit.cli.solving import check_solvers, refuse_solving, solve
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import Automatic, Direct, FacePoint, Iterative, nearest_source
@@ -103,10 +103,10 @@ def check_named(asked: program.Geodesic) -> int:
                 advice="name some by --source, --at, --face or --farthest",
             )
         sampled = asked.cloud is not None and (asked.source or asked.face)
-        if sampled or (asked.repair and asked.face):
+        if sampled or ((asked.repair or asked.largest) and asked.face):
             raise InvalidInputError(
                 "--source and --face number the points and faces of the file, which --cloud"
-                " changes, and --repair the faces",
+                " changes, and --repair and --largest the faces",
                 advice="name places by --at instead",
             )
     for face, *_ in asked.face:
@@ -115,37 +115,25 @@ def check_named(asked: program.Geodesic) -> int:
     return asked.farthest or int(not (asked.source or asked.at or asked.face))
 
 
-def named_sources(
-    asked: program.Geodesic, geometry: Geometry, numbers: Ints | None
-) -> list[Source]:
+def named_sources(asked: program.Geodesic, geometry: Geometry, kept: Numbering) -> list[Source]:
     """Return the points that --source, --at and --face name.
 
-    `numbers` has the new number of each point of the file, where a repair changed them.
+    `kept` knows the points of the file, where some were left out.
     """
     check_count("--farthest", asked.farthest, low=0, high=geometry.n)
-    n = geometry.n if numbers is None else len(numbers)
-    points = check_indices("--source", np.array(asked.source, dtype=object), n)
-    if numbers is not None:
-        points = _renumbered(points, numbers)
+    named = check_indices("--source", np.array(asked.source, dtype=object), kept.n)
+    points = kept.number(named)
+    if (points < 0).any():
+        lost = ", ".join(map(str, named[points < 0]))
+        raise InvalidInputError(
+            "--source",
+            "name points that --repair and --largest keep",
+            f"{lost}, which no face has, or none of that part",
+            advice="name others, or places by --at",
+        )
     found: list[Source] = points.tolist()
     found += [nearest_source(geometry, place) for place in asked.at]
     return found + [FacePoint(int(face), (a, b, c)) for face, a, b, c in asked.face]
-
-
-def _renumbered(points: Ints, numbers: Ints) -> Ints:
-    """Return points of a file as those of the repaired one, and tell where these differ."""
-    new = numbers[points]
-    if (new < 0).any():
-        lost = ", ".join(map(str, points[new < 0]))
-        raise InvalidInputError(
-            "--source",
-            "name points that --repair keeps",
-            f"{lost}, which no face has",
-            advice="name others, or places by --at",
-        )
-    if moved := [f"{a} is now {b}" for a, b in zip(points, new, strict=True) if a != b]:
-        say(f"{quantity(len(moved), 'source')} renumbered by the repair: {', '.join(moved)}")
-    return new
 
 
 def with_farthest(

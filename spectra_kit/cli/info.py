@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+from spectra_kit._validate import hearing
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.inputs import assemble, load
 from spectra_kit.cli.output import tell
@@ -19,7 +20,7 @@ def info(asked: program.Info) -> None:
     with step("looking at it"):
         diagnosis = diagnose(geometry)
     try:
-        with step("assembling the Laplacian"):
+        with step("assembling the Laplacian"), hearing():  # the diagnosis tells of seams
             operator = tables.operator_record(assemble(asked, geometry))
     except InvalidInputError as error:
         operator = {"refused": told(error)}

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,22 +15,65 @@ from spectra_kit._validate import check_count, quantity
 from spectra_kit.cli.options import DEMO, FORMATS, OnOne, Operator, Reading
 from spectra_kit.cli.progress import say, step
 from spectra_kit.errors import InvalidFileError, InvalidInputError
-from spectra_kit.geometry import Geometry, TriangleMesh, creature, read, repair, sample, without_nan
+from spectra_kit.geometry import (
+    Geometry,
+    TriangleMesh,
+    creature,
+    largest_component,
+    read,
+    repair,
+    sample,
+    without_nan,
+)
 from spectra_kit.operators import Laplacian, laplacian
 
 _REMOVED = {
     "merged_points": "merged point",
+    "near_points": "nearly coincident point",
     "degenerate_faces": "degenerate face",
     "duplicate_faces": "duplicate face",
     "unreferenced_vertices": "unreferenced vertex",
     "nan_points": "NaN point",
+    "turned_faces": "turned face",
 }
 
 
-def load(file: str, asked: Reading, *, pose: int = 0) -> tuple[Geometry, Ints | None]:
-    """Read or make a geometry; repair and sample it where that was asked for.
+@dataclass(frozen=True, eq=False)
+class Numbering:
+    """The points of a file, and which of those that are matched each has become."""
 
-    Where it was repaired, the new number of each point of the file is returned too.
+    new: Ints | None  # (n,), -1 where a point was left out; None where all are as they were
+    n_new: int
+
+    @property
+    def n(self) -> int:
+        """Number of points in the file."""
+        return self.n_new if self.new is None else len(self.new)
+
+    @property
+    def first(self) -> Ints:
+        """The first point of the file that each matched one is, shape (n_new,)."""
+        found = np.arange(self.n_new)
+        if self.new is not None:
+            kept = np.flatnonzero(self.new >= 0)[::-1]
+            found[self.new[kept]] = kept  # the last one written is the first in the file
+        return found
+
+    def number(self, points: Ints) -> Ints:
+        """Return what points of the file are called now; -1 where they are not known."""
+        return points if self.new is None else np.where(points < 0, -1, self.new[points])
+
+    def spread(self, values: Any, lacking: float) -> Any:
+        """Return values at matched points at all points of the file."""
+        if self.new is None:
+            return values
+        return np.where(self.new < 0, lacking, values[self.new]).astype(values.dtype)
+
+
+def load(file: str, asked: Reading, *, pose: int = 0) -> tuple[Geometry, Numbering]:
+    """Read or make a geometry; repair it, take its largest part, sample it, as was asked for.
+
+    What has become of the points of the file is returned too; nothing of it where it was sampled.
     """
     geometry: Geometry
     numbers = found = None
@@ -50,13 +95,21 @@ def load(file: str, asked: Reading, *, pose: int = 0) -> tuple[Geometry, Ints | 
             numbers = np.where(found.new_index < 0, -1, numbers[found.new_index])
         done = ", ".join(quantity(n, _REMOVED[what]) for what, n in counts.items() if n)
         say(f"repaired: {done or 'nothing to do'}")
+    if asked.largest and isinstance(geometry, TriangleMesh):
+        part, n = largest_component(geometry), geometry.n
+        kept = np.full(n + 1, -1)  # the last is of what a repair removed
+        kept[part.vertex_index] = np.arange(part.mesh.n)
+        numbers = kept[:n] if numbers is None else kept[numbers]
+        geometry = part.mesh
+        if left := n - part.mesh.n:
+            say(f"the largest part: {geometry.n:,} points; {left:,} left out")
     if asked.cloud is not None:
         if not isinstance(geometry, TriangleMesh):
             raise InvalidInputError("--cloud", "sample a mesh", "a file that holds a point cloud")
         check_count("--cloud", asked.cloud, low=1)
         with step(f"sampling {asked.cloud:,} points"):
             geometry = sample(geometry, asked.cloud, seed=asked.seed)
-    return geometry, numbers
+    return geometry, Numbering(None if asked.cloud else numbers, geometry.n)
 
 
 def _check_there(path: Path) -> None:
@@ -81,16 +134,7 @@ def prepare(asked: OnOne) -> tuple[Geometry, Laplacian]:
     """Read a geometry and assemble its operator."""
     geometry, _ = load(asked.file, asked)
     with step(f"assembling the Laplacian of {geometry.n:,} points"):
-        assembled = assemble(asked, geometry)
-    if assembled.n_components > 1:
-        # Corners that are not joined make a part of every face: each mode then lives on one.
-        joined = geometry.n - len(np.unique(geometry.points, axis=0))
-        if joined:
-            say(
-                f"warning: {quantity(joined, 'point')} lie exactly on earlier ones, and the surface"
-                f" has {assembled.n_components:,} parts; --repair joins such points"
-            )
-    return geometry, assembled
+        return geometry, assemble(asked, geometry)
 
 
 def assemble(asked: Operator, geometry: Geometry) -> Laplacian:

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from spectra_kit._types import Ints
 from spectra_kit._validate import check_indices
 from spectra_kit.cli import program, tables
-from spectra_kit.cli.inputs import assemble, load
+from spectra_kit.cli.inputs import Numbering, assemble, load
 from spectra_kit.cli.options import DEMO, refuse_given
 from spectra_kit.cli.output import as_json, check_folder, drawing, tell, together
 from spectra_kit.cli.progress import step
@@ -57,12 +57,12 @@ def match_shapes(asked: program.Match) -> None:
     folder = asked.output
     # The demo is one animal in two poses, whose true map is known.
     is_demo = asked.source == asked.target == DEMO and asked.cloud is None
-    renumbered = asked.repair or asked.cloud is not None
-    if renumbered and (asked.landmarks or asked.truth or asked.initial):
+    sampled = asked.cloud is not None
+    if sampled and (asked.landmarks or asked.truth or asked.initial):
         raise InvalidInputError(
-            "--landmarks, --initial and --truth number the points of the files, which --repair and"
-            " --cloud change",
-            advice="repair or sample first, and match what came out",
+            "--landmarks, --initial and --truth number the points of the files, which --cloud"
+            " changes",
+            advice="sample first, and match what came out",
         )
     if asked.part:
         refuse_given(
@@ -76,7 +76,7 @@ def match_shapes(asked: program.Match) -> None:
         )
     check_solvers(asked, asked.solver)
     # Where the maps number other points than those of files that exist, these are written too.
-    sides = _SIDES if renumbered or DEMO in (asked.source, asked.target) else ()
+    sides = _SIDES if sampled or DEMO in (asked.source, asked.target) else ()
     drawn = _PICTURES if asked.truth or is_demo else _PICTURES[:2]
     pictures = () if asked.no_pictures else drawn
     more = (_COVERED,) * asked.part + (_PRECISE,) * asked.precise
@@ -90,18 +90,20 @@ def match_shapes(asked: program.Match) -> None:
     if is_demo:
         fewer = max(9 * asked.points // 10, 500)
         one, other, truth = creature_pair(asked.points, fewer, seed=asked.seed)
+        there = Numbering(None, one.n), Numbering(None, other.n)
     else:
-        one, _ = load(asked.source, asked, pose=1)
-        other, _ = load(asked.target, asked, pose=2)
+        one, first = load(asked.source, asked, pose=1)
+        other, second = load(asked.target, asked, pose=2)
+        there = first, second
     _check_triangles(asked, one, other)
     if asked.truth:
-        truth = _read_map(asked.truth, "--truth", one.n, other.n)
+        truth = _read_map(asked.truth, "--truth", there)
     if asked.initial:
-        initial = _read_map(asked.initial, "--initial", one.n, other.n)
+        initial = _read_map(asked.initial, "--initial", there)
     elif asked.aligned:
         initial = cKDTree(one.points).query(other.points)[1]
     if asked.landmarks:
-        landmarks = _read_landmarks(asked.landmarks, one.n, other.n)
+        landmarks = _read_landmarks(asked.landmarks, *there)
     source = _solve(asked, asked.source, one)
     target = _solve(asked, asked.target, other)
     with step("matching"):
@@ -126,12 +128,12 @@ def match_shapes(asked: program.Match) -> None:
     }
     writing = together(folder, report=_MAPS[2], replacing=_PICTURES)
     with step(f"writing {folder}"), writing as part:
-        np.save(part / _MAPS[0], found.point_map)
+        np.save(part / _MAPS[0], there[1].spread(there[0].first[found.point_map], -1))
         np.save(part / _MAPS[1], found.functional_map)
         if found.covered is not None:
-            np.save(part / _COVERED, found.covered)
+            np.save(part / _COVERED, there[1].spread(found.covered, False))
         if found.precise is not None:
-            sparse.save_npz(part / _PRECISE, found.precise)
+            sparse.save_npz(part / _PRECISE, _in_files(found.precise, *there))
         (part / _MAPS[2]).write_text(as_json(record))
         for name, side in zip(sides, (source, target), strict=False):
             write(side.geometry, part / name)
@@ -149,6 +151,14 @@ def match_shapes(asked: program.Match) -> None:
         tables.pairs({name.replace("_", " "): _told(value) for name, value in quality.items()}),
         "\n".join(f"written: {path}" for path in written),
     )
+
+
+def _in_files(precise: sparse.csr_array, source: Numbering, target: Numbering) -> sparse.csr_array:
+    """Return a precise map between the points of the files; rows are empty where there is none."""
+    rows = precise[target.number(np.arange(target.n))].tocoo()
+    there = target.number(np.arange(target.n))[rows.row] >= 0
+    at = rows.row[there], source.first[rows.col[there]]
+    return sparse.csr_array((rows.data[there], at), shape=(target.n, source.n))
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,49 +254,63 @@ def _prepared(side: Side) -> Prepared:
         raise InvalidFileError(side.name, error) from error
 
 
-def _read_landmarks(path: Path, n_source: int, n_target: int) -> tuple[Ints, Ints]:
+def _read_landmarks(path: Path, source: Numbering, target: Numbering) -> tuple[Ints, Ints]:
     """Two columns of numbers: on the source, on the target."""
     rows = []
     for number, words in text_lines(path):
         try:
-            source, target = map(whole, words)
+            first, second = map(whole, words)
         except ValueError as error:
-            found = f"{' '.join(words)[:60]!r} in line {number}"
-            raise InvalidFileError(path, InvalidInputError("--landmarks", _LINES, found)) from error
-        rows.append((source, target))
+            got = f"{' '.join(words)[:60]!r} in line {number}"
+            raise InvalidFileError(path, InvalidInputError("--landmarks", _LINES, got)) from error
+        rows.append((first, second))
     if not rows:
         raise InvalidFileError(path, InvalidInputError("--landmarks", _LINES, "none"))
     sources, targets = zip(*rows, strict=True)
     try:
-        return (
-            check_indices("source landmarks", sources, n_source),
-            check_indices("target landmarks", targets, n_target),
+        found = (
+            source.number(check_indices("source landmarks", sources, source.n)),
+            target.number(check_indices("target landmarks", targets, target.n)),
         )
     except InvalidInputError as error:
         problem = InvalidInputError(
             error.argument, error.expected, error.got, advice="are the columns exchanged?"
         )
         raise InvalidFileError(path, problem) from error
+    lost = np.minimum(*found) < 0
+    if lost.any():
+        named = f"{rows[int(np.argmax(lost))]}, of which one was left out"
+        raise InvalidFileError(
+            path, InvalidInputError("--landmarks", "name points that are matched", named)
+        )
+    return found
 
 
-def _read_map(path: Path, option: str, n_source: int, n_target: int) -> Ints:
-    """An integer for each target point, below n_source; negative where the truth is not known."""
+def _read_map(path: Path, option: str, there: tuple[Numbering, Numbering]) -> Ints:
+    """The source point of each target point; -1 where the truth is not known, or left out."""
+    source, target = there
     try:
         read = np.asarray(read_npy(path)[0])
     except InvalidInputError as error:
         raise InvalidFileError(path, error) from error
     truth = option == "--truth"
-    fits = read.dtype.kind in "iu" and read.shape == (n_target,)
-    if not fits or read.max() < 0 or read.max() >= n_source or (read.min() < 0 and not truth):
+    fits = read.dtype.kind in "iu" and read.shape == (target.n,)
+    if not fits or read.max() < 0 or read.max() >= source.n or (read.min() < 0 and not truth):
         problem = InvalidInputError(
             option,
-            f"hold {n_target} integers below {n_source}, the source point of each target point"
+            f"hold {target.n} integers below {source.n}, the source point of each target point"
             + (", some of them known" if truth else ""),
             f"{read.dtype} of shape {read.shape}",
             advice="are source and target exchanged?",
         )
         raise InvalidFileError(path, problem)
-    return np.asarray(read, dtype=np.int64)
+    found = source.number(np.asarray(read, dtype=np.int64)[target.first])
+    if not truth and (lost := found < 0).any():
+        named = f"{lost.sum()} that were left out"
+        raise InvalidFileError(
+            path, InvalidInputError(option, "lead to points that are kept", named)
+        )
+    return found
 
 
 def doubts_of(found: Match) -> str:

@@ -104,7 +104,10 @@ class Read(Command):
     cloud: int | None = None
     """sample N points on the mesh (default: none)"""
     repair: bool = False
-    """merge duplicates, drop degenerate faces and unused vertices, and say what was done"""
+    """join what is cut along seams, merge duplicates, drop degenerate faces and unused vertices,
+    turn faces wound against the others, and say what was done"""
+    largest: bool = False
+    """keep the largest connected part of a mesh alone, after a repair; clouds stay whole"""
     seed: int = 0
     """of everything random"""
 

@@ -11,8 +11,10 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._checked import checked
+from spectra_kit.geometry.seams import seams
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh, distinct_rows
 from spectra_kit.geometry.units import box_unit
+from spectra_kit.geometry.winding import wound_against
 
 
 @checked
@@ -48,12 +50,30 @@ class Problem:
         return f"Problem({self.count}, {self.told()!r})"
 
 
-# What a count of `Diagnosis` says of one and of several, and what helps; "": joining points.
+UNJOINED = "unjoined"  # by which what was recorded of a shape is known to tell of seams
+
+# What a count of `Diagnosis` says of one and of several, and what helps: a call, "" for joining
+# points, or words.
 _PROBLEMS = {
     "duplicate_points": (
         "point lies exactly on an earlier one",
         "points lie exactly on earlier ones",
         "",
+    ),
+    "near_points": (
+        "point of a boundary repeats an earlier one up to rounding",
+        "points of boundaries repeat earlier ones up to rounding",
+        "geometry.repair(mesh)",
+    ),
+    "seam_edges": (
+        f"boundary edge lies on another, {UNJOINED}",
+        f"boundary edges lie on others, {UNJOINED}",
+        "geometry.repair(mesh)",
+    ),
+    "turned_faces": (
+        "face is wound against its neighbours",
+        "faces are wound against their neighbours",
+        "geometry.repair(mesh)",
     ),
     "degenerate_faces": (
         "face has no area",
@@ -74,6 +94,11 @@ _PROBLEMS = {
         "edge has three or more faces",
         "edges have three or more faces",
         "robust_laplacian",
+    ),
+    "clashing_edges": (
+        "edge has faces that no turning makes agree",
+        "edges have faces that no turning makes agree",
+        "maps between surfaces do without sides there",
     ),
     "nonmanifold_vertices": (
         "vertex joins fans of faces that share no edge",
@@ -112,6 +137,14 @@ class Diagnosis:
         Vertices of no face.
     duplicate_points : int
         Points at exactly the place of an earlier one.
+    near_points : int
+        Vertices that repeat an earlier one but for rounding, where boundary edges lie on others.
+    seam_edges : int
+        Boundary edges that lie on another, so that the surface is cut there though it looks whole.
+    turned_faces : int
+        Faces wound against their neighbours; as few as must be turned for all to agree.
+    clashing_edges : int
+        Edges at which faces do not agree however they are turned, as on a Möbius strip.
     euler_characteristic : int
         Vertices in use - edges + faces; 2 - 2 * genus for one closed orientable surface.
     area : float
@@ -131,6 +164,10 @@ class Diagnosis:
     duplicate_faces: int = 0
     unreferenced_vertices: int = 0
     duplicate_points: int
+    near_points: int = 0
+    seam_edges: int = 0
+    turned_faces: int = 0
+    clashing_edges: int = 0
     euler_characteristic: int = 0
     area: float = float("nan")
     lower: tuple[float, float, float]
@@ -144,6 +181,9 @@ class Diagnosis:
         for name, (one, several, remedy) in _PROBLEMS.items():
             if count := getattr(self, name):
                 finding = f"{count:,} {one if count == 1 else several}"
+                if " " in remedy:
+                    found.append(Problem(count, finding, remedy))
+                    continue
                 advice = "use {}" if remedy == "robust_laplacian" else "{}"
                 found.append(Problem(count, finding, advice, (remedy or merge,)))
         if self.dimension < 2:
@@ -195,6 +235,7 @@ def diagnose(geometry: Geometry) -> Diagnosis:
 def _face_counts(mesh: TriangleMesh) -> dict[str, Any]:
     edges, faces_at_edge = mesh.unique_edges
     n_used, n_faces = len(mesh.referenced_vertices), len(mesh.faces)
+    cut, (turned, clashing) = seams(mesh), wound_against(mesh)
     return {
         "n_faces": n_faces,
         "n_components": len(np.unique(mesh.component_labels[mesh.referenced_vertices])),
@@ -204,6 +245,10 @@ def _face_counts(mesh: TriangleMesh) -> dict[str, Any]:
         "degenerate_faces": int(mesh.degenerate_faces().sum()),
         "duplicate_faces": n_faces - len(mesh.without_duplicate_faces().faces),
         "unreferenced_vertices": mesh.n - n_used,
+        "near_points": cut.near if cut else 0,
+        "seam_edges": cut.edges if cut else 0,
+        "turned_faces": int(turned.sum()),
+        "clashing_edges": clashing,
         "euler_characteristic": n_used - len(edges) + n_faces,
         "area": mesh.area,
     }

@@ -11,18 +11,22 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Brief, frozen, real_array
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.seams import joined, seams
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh, distinct_rows
+from spectra_kit.geometry.winding import turn, wound_against
 
 
 @checked
 @dataclass(frozen=True, kw_only=True)
 class RepairReport:
-    """How many of each were removed; all 0 where nothing was wrong.
+    """How many of each were removed or turned; all 0 where nothing was wrong.
 
     Parameters
     ----------
     merged_points : int
         Points joined with an earlier one at exactly the same place.
+    near_points : int
+        Points joined with an earlier one that was only near.
     degenerate_faces : int
         Faces with a repeated vertex or without area, after the merge.
     duplicate_faces : int
@@ -31,13 +35,17 @@ class RepairReport:
         Vertices that no remaining face used.
     nan_points : int
         Points that were NaN or infinite, of `without_nan`.
+    turned_faces : int
+        Faces that were wound against their neighbours.
     """
 
     merged_points: int = 0
+    near_points: int = 0
     degenerate_faces: int = 0
     duplicate_faces: int = 0
     unreferenced_vertices: int = 0
     nan_points: int = 0
+    turned_faces: int = 0
 
 
 @checked
@@ -96,29 +104,42 @@ class Repaired(Brief):
 
 
 @checked
-def repair(geometry: Geometry, *, merge: bool = True) -> Repaired:
+def repair(geometry: Geometry, *, merge: bool = True, tolerance: float | None = None) -> Repaired:
     """Return a clean copy of `geometry`: each point and face once, every face with area.
 
-    For a mesh: coincident vertices are joined, then degenerate and duplicate faces dropped, then
-    vertices without a face. Non-manifold edges, boundaries and separate components stay: the
-    tufted Laplacian needs nothing done about them. For a cloud: duplicate points are dropped.
+    For a mesh: coincident vertices are joined, and those that repeat each other up to rounding
+    where boundary edges lie on others; then degenerate and duplicate faces dropped, then vertices
+    without a face; and the faces turned that are wound against their neighbours. Non-manifold
+    edges, boundaries and separate components stay: the tufted Laplacian needs nothing done about
+    them. For a cloud: duplicate points are dropped.
 
     Parameters
     ----------
     geometry : TriangleMesh or PointCloud
         Is left as it is.
     merge : bool, default True
-        Join exactly coincident points. False keeps a surface apart where it only touches itself.
+        Join coincident points. False keeps a surface apart where it only touches itself.
+    tolerance : float, optional
+        Join what is so near, in length: points of a cloud, boundary vertices of a mesh, whether or
+        not edges lie on others; 0 joins coincident points alone. By default, up to a hundredth of
+        the shortest edge at either, along edges that lie on others as a whole.
 
     Returns
     -------
     Repaired
-        The copy, what was removed, and index arrays in both directions.
+        The copy, what was removed, and index arrays in both directions. Points stay at the place of
+        the earliest of those that were joined: none is moved farther than the tolerance.
 
     Raises
     ------
     InvalidInputError
-        If no face of a mesh has any area.
+        If no face of a mesh has any area, or `tolerance` is negative.
+
+    Notes
+    -----
+    Which faces are turned is told by the other faces of a component, the more against the fewer.
+    Where no turning makes them agree, as on a Möbius strip, as few edges as may be are left where
+    they do not; `diagnose` counts them.
 
     Examples
     --------
@@ -128,39 +149,68 @@ def repair(geometry: Geometry, *, merge: bool = True) -> Repaired:
     ...     [[0, 2, 3], [0, 4, 3], [2, 4, 3]],
     ... )
     >>> repaired = repair(mesh)
-    >>> repaired.report
-    RepairReport(merged_points=1, degenerate_faces=1, duplicate_faces=1, unreferenced_vertices=1)
+    >>> {what: n for what, n in vars(repaired.report).items() if n}
+    {'merged_points': 1, 'degenerate_faces': 1, 'duplicate_faces': 1, 'unreferenced_vertices': 1}
     >>> repaired.vertex_index
     array([0, 2, 3])
     >>> repaired.restore([10.0, 20.0, 30.0])
     array([10., nan, 20., 30., 20.])
     """
+    if tolerance is not None and not 0 <= tolerance < np.inf:
+        raise InvalidInputError("tolerance", "be a length, 0 or more", f"{tolerance:g}")
+    first = label = np.arange(geometry.n)
+    near = 0
     if merge:
         first, label = distinct_rows(geometry.points)
-    else:
-        first = label = np.arange(geometry.n)
-    merged = geometry.n - len(first)
+        leader = _near(geometry, first, label, tolerance)
+        kept = leader == np.arange(len(first))
+        near = int((~kept).sum())
+        first, label = first[kept], (np.cumsum(kept) - 1)[leader[label]]
+    merged = geometry.n - len(first) - near
     if isinstance(geometry, PointCloud):
         cloud = PointCloud(geometry.points[first])
-        return Repaired(cloud, RepairReport(merged_points=merged), frozen(first), frozen(label))
-    joined = TriangleMesh(geometry.points[first], label[geometry.faces])
-    if joined.degenerate_faces().all():
+        report = RepairReport(merged_points=merged, near_points=near)
+        return Repaired(cloud, report, frozen(first), frozen(label))
+    whole = TriangleMesh(geometry.points[first], label[geometry.faces])
+    if whole.degenerate_faces().all():
         raise InvalidInputError(
             "geometry",
             "have a face with area",
             f"{len(geometry.faces)} degenerate ones",
             advice="`as_cloud()` keeps its vertices",
         )
-    proper = joined.without_degenerate_faces()
+    proper = whole.without_degenerate_faces()
     distinct = proper.without_duplicate_faces()
     used = distinct.referenced_vertices
-    new_index = np.full(joined.n, -1)
+    new_index = np.full(whole.n, -1)
     new_index[used] = np.arange(len(used))
+    clean = distinct.without_unreferenced()
+    turned, _ = wound_against(clean)
     report = RepairReport(
         merged_points=merged,
-        degenerate_faces=len(joined.faces) - len(proper.faces),
+        near_points=near,
+        degenerate_faces=len(whole.faces) - len(proper.faces),
         duplicate_faces=len(proper.faces) - len(distinct.faces),
-        unreferenced_vertices=joined.n - len(used),
+        unreferenced_vertices=whole.n - len(used),
+        turned_faces=int(turned.sum()),
     )
-    clean = distinct.without_unreferenced()
+    if turned.any():
+        clean = TriangleMesh(clean.points, turn(clean.faces, turned))
     return Repaired(clean, report, frozen(first[used]), frozen(new_index[label]))
+
+
+def _near(geometry: Geometry, first: Ints, label: Ints, tolerance: float | None) -> Ints:
+    """Return which of the distinct points each of them is to be joined with."""
+    points = geometry.points[first]
+    alone = np.arange(len(first))
+    if isinstance(geometry, PointCloud):
+        return joined(points, np.full(len(points), tolerance)) if tolerance else alone
+    if tolerance == 0:
+        return alone
+    mesh = TriangleMesh(points, label[geometry.faces])
+    if tolerance is None:
+        found = seams(mesh)
+        return alone if found is None else found.label
+    edge = mesh.boundary_vertices
+    alone[edge] = edge[joined(points[edge], np.full(len(edge), tolerance))]
+    return alone

@@ -188,7 +188,8 @@ def _surface(recipe: Recipe, shape: Geometry) -> Surface:
             "shape",
             "be connected, for embeddings by its spectrum",
             f"{surface.laplacian.kernel_dimension} components",
-            advice="label them one by one (geometry.components)",
+            advice="take the largest alone, by {}, or label them one by one (geometry.components)",
+            remedies=("geometry.largest_component(mesh)",),
         )
     return surface
 

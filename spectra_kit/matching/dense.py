@@ -90,7 +90,8 @@ def thinned(unit: Spectrum, placed: Placed, count: int) -> Dense:
                 "geometry",
                 "be connected, as its spectrum is",
                 f"{quantity((closest < 0).sum(), 'point')} in pieces too small to be matched",
-                advice="leave them out of both (geometry.components)",
+                advice="leave them out of both, by {}",
+                remedies=("geometry.largest_component(mesh)",),
             )
         held = np.unique(image(placed.oriented, closest, count)[0])
         if len(held) == count:

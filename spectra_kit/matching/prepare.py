@@ -125,9 +125,10 @@ def prepare(
     spectrum : Spectrum
         Of one connected surface, in any unit, with at least 30 modes.
     geometry : TriangleMesh or PointCloud, optional
-        The surface, in the same unit, its faces of one winding (`operators.oriented_triangles`):
-        its sides and its curvature. Without it, a match cannot tell left from right, and hardly the
-        front from the back.
+        The surface, in the same unit: its sides and its curvature. Faces that are wound against
+        their neighbours are turned for it, with a `DoubtfulMatchWarning`; where that does not make
+        all agree, the others tell the side (`operators.oriented_triangles`). Without a geometry, a
+        match cannot tell left from right, and hardly the front from the back.
     n_samples : int, default 600
         Points on which candidates are refined; capped at n.
     n_points : int, default 5000
@@ -144,8 +145,7 @@ def prepare(
     InvalidInputError
         If the spectrum has fewer than 30 modes, no constant mode or several components,
         `n_samples` is below 200 or `n_points` below 1000, the geometry has other points or another
-        area, its faces have no consistent winding (`operators.oriented_triangles`), or a dense
-        one has a tiny piece that is not connected to the rest.
+        area, or a dense one has a tiny piece that is not connected to the rest.
 
     Examples
     --------
@@ -175,7 +175,8 @@ def prepare(
             "spectrum",
             "be of one connected surface, with its constant mode",
             f"{spectrum.n_zero_modes} zero modes",
-            advice="match component by component (geometry.components)",
+            advice="match the largest part alone, by {}, or one by one (geometry.components)",
+            remedies=("geometry.largest_component(mesh)",),
         )
     scale = spectrum.area**-0.5
     unit = spectrum.rescale(scale)

@@ -15,6 +15,7 @@ from spectra_kit._clock import Clock
 from spectra_kit._validate import check_count, quantity
 from spectra_kit.catalogue import OPERATORS
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
+from spectra_kit.geometry.seams import warn_of_seams
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators._parts import warn_of_near_parts
 from spectra_kit.operators.checks import (
@@ -140,6 +141,7 @@ def robust_laplacian(
     clock = Clock()
     check_mollify_factor(mollify_factor)
     check_faces_usable(geometry)
+    warn_of_seams(geometry)
     _check_room(len(geometry.faces) * _BYTES_PER_FACE)
     unit, faces = mean_edges(geometry), np.array(geometry.faces)
     stiffness, mass = rl.mesh_laplacian(geometry.points / unit[:, None], faces, mollify_factor)
@@ -238,6 +240,7 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
     """
     clock = Clock()
     check_faces_usable(mesh)
+    warn_of_seams(mesh)
     unit = units_of(mesh)
     if (flat := int(mesh.degenerate_faces(1e-14).sum())) > 0:
         raise InvalidInputError(

@@ -20,6 +20,7 @@ from spectra_kit._validate import (
     real_array,
 )
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.seams import warn_of_seams
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators._parts import warn_of_near_parts
 from spectra_kit.operators.checks import (
@@ -260,6 +261,7 @@ def intrinsic_delaunay(
     check_mollify_factor(mollify_factor)
     if isinstance(geometry, TriangleMesh):
         check_faces_usable(geometry)
+        warn_of_seams(geometry)
         glued = glued_mesh(geometry, mollify_factor)
         operator = f"delaunay_laplacian(mesh, mollify_factor={mollify_factor:g})"
     else:

@@ -10,12 +10,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
+from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
-from spectra_kit._types import Floats, Ints
+from spectra_kit._types import Bools, Floats, Ints
 from spectra_kit._validate import (
     Rebuilt,
     check_count,
@@ -24,9 +22,19 @@ from spectra_kit._validate import (
     frozen,
     quantity,
     real_array,
+    warn,
 )
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.geometry.winding import (
+    FLIP,
+    Sides,
+    against_neighbours,
+    agreement,
+    pieces,
+    sides_of,
+    turn,
+)
 from spectra_kit.operators._fans import oriented_fans
 from spectra_kit.operators.checks import check_faces_usable, units_of
 
@@ -52,8 +60,9 @@ class OrientedTriangles(Rebuilt):
     n : int
         Number of points.
     consistent : float, default 1.0
-        Share of the triangles whose corners agree on the side: 1 for a mesh; for a cloud, a sign of
-        how far its orientation can be trusted.
+        Share of the triangles that agree on the side: of a mesh, with all their neighbours, 1
+        unless some cannot be turned so; of a cloud, with the windings that their corners see, a
+        sign of how far its orientation can be trusted.
 
     Raises
     ------
@@ -94,7 +103,7 @@ class OrientedTriangles(Rebuilt):
 
     def reversed(self) -> OrientedTriangles:
         """Return the same triangles seen from the other side: those of a mirror image."""
-        return replace(self, faces=self.faces[:, [0, 2, 1]])
+        return replace(self, faces=self.faces[:, FLIP])
 
 
 @checked
@@ -104,8 +113,9 @@ def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> Oriented
     Parameters
     ----------
     geometry : TriangleMesh or PointCloud
-        A mesh needs faces of one winding: along an edge run as many as against it, but for one
-        where the number is odd.
+        Faces of a mesh that are wound against their neighbours are turned, with a warning; so
+        it is told where no turning makes faces agree, as on a Möbius strip, and `consistent` is
+        below 1.
     n_neighbors : int, default 30
         Of a cloud: candidates for the triangles of a point, as in `delaunay_laplacian`.
 
@@ -124,8 +134,8 @@ def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> Oriented
     Raises
     ------
     InvalidInputError
-        If neighbouring faces of a mesh turn opposite ways, a vertex has no face or a face names
-        one twice; if a cloud has fewer than four points, duplicates, or lies on a line.
+        If a vertex of a mesh has no face or a face names one twice; if a cloud has fewer than four
+        points, duplicates, or lies on a line.
 
     Notes
     -----
@@ -153,43 +163,35 @@ def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> Oriented
         return OrientedTriangles(faces, np.full(len(faces), 1 / 3), areas, geometry.n, consistent)
     mesh = geometry
     check_faces_usable(mesh)
-    piece, closed = _pieces(mesh)
+    sides = sides_of(mesh.faces, mesh.n)
+    against = against_neighbours(sides)
+    sides = sides.turned(against) if against.any() else sides
+    faces, consistent = turn(mesh.faces, against), agreement(sides)
+    piece, closed = pieces(sides)
     unit = units_of(mesh)
-    volume = np.bincount(piece, _signed_volumes(mesh.points / unit[:, None], mesh.faces, piece))
-    area = np.bincount(piece, mesh.face_areas / unit[mesh.faces[:, 0]] ** 2)
+    volume = np.bincount(piece, _signed_volumes(mesh.points / unit[:, None], faces, piece))
+    area = np.bincount(piece, mesh.face_areas / unit[faces[:, 0]] ** 2)
     inside = np.where(closed, _FLAT, _OPEN) * area**1.5
-    turned = (volume < -inside)[piece]
-    faces = np.where(turned[:, None], mesh.faces[:, [0, 2, 1]], mesh.faces)
-    return OrientedTriangles(faces, np.ones(len(faces)), mesh.face_areas, mesh.n)
+    faces = turn(faces, (volume < -inside)[piece])
+    if against.any() or consistent < 1:
+        _warn_of_winding(against, sides)
+    return OrientedTriangles(faces, np.ones(len(faces)), mesh.face_areas, mesh.n, consistent)
 
 
-def _pieces(mesh: TriangleMesh) -> tuple[Ints, NDArray[np.bool_]]:
-    """Return the piece of each face, joined across edges, and whether each piece is closed."""
-    f = len(mesh.faces)
-    tails, heads = mesh.faces.ravel(), np.roll(mesh.faces, -1, axis=1).ravel()
-    low, high = np.minimum(tails, heads), np.maximum(tails, heads)
-    edges, edge = np.unique(low * mesh.n + high, return_inverse=True)
-    faces_of = np.bincount(edge)
-    surplus = np.bincount(edge, np.where(tails < heads, 1, -1)).astype(np.int64)
-    # Along an edge run as many faces as against it, but for one where the number is odd.
-    bad = np.abs(surplus) > faces_of % 2
-    if bad.any():
-        i, j = divmod(int(edges[np.argmax(bad)]), mesh.n)
-        raise InvalidInputError(
-            "mesh",
-            "have faces of one winding",
-            f"{quantity(bad.sum(), 'edge')} (such as {i}, {j}) that two faces run along in the"
-            " same direction",
-            advice="turn the faces, as with"
-            " `TriangleMesh(mesh.points, igl.bfs_orient(mesh.faces)[0])`",
-        )
-    incidence = sparse.csr_array(
-        (np.ones(len(edge)), (np.arange(len(edge)) // 3, edge)), shape=(f, len(edges))
+def _warn_of_winding(against: Bools, sides: Sides) -> None:
+    """Say what is made of a mesh of mixed winding: where it matters, sides may be in doubt."""
+    turned, left = int(against.sum()), int(sides.clash.sum())
+    found = []
+    if turned:
+        found.append(f"{quantity(turned, 'face')} wound against the others, turned for now")
+    if left:
+        found.append(f"{quantity(left, 'edge')} at which no turning makes faces agree")
+    warn(
+        f"the mesh has {', and '.join(found)}",
+        DoubtfulMatchWarning,
+        advice="which side is out is told by the other faces; {} turns faces for good",
+        remedies=("geometry.repair(mesh)",),
     )
-    count, piece = connected_components(incidence @ incidence.T, directed=False)
-    closed = np.ones(count, dtype=bool)
-    closed[piece[np.flatnonzero(surplus[edge]) // 3]] = False
-    return piece.astype(np.int64), closed
 
 
 def _signed_volumes(points: Floats, faces: Ints, piece: Ints) -> Floats:

@@ -11,7 +11,7 @@ from spectra_kit._version import VERSION
 from spectra_kit.catalogue import DESCRIPTORS
 from spectra_kit.eigensolvers import Automatic, Eigensolver
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import Geometry, TriangleMesh, repair, sample
+from spectra_kit.geometry import Geometry, TriangleMesh, largest_component, repair, sample
 from spectra_kit.linalg.memory import factor_gigabytes
 from spectra_kit.operators import Laplacian, laplacian
 
@@ -36,7 +36,11 @@ class Plan:
     boundary : {"neumann", "dirichlet"}, default "neumann"
         Of meshes with a boundary.
     repair : bool, default False
-        Merge duplicates, drop degenerate faces and unused vertices, as `geometry.repair` does.
+        Join seams, merge duplicates, drop degenerate faces and unused vertices, and turn faces, as
+        `geometry.repair` does.
+    largest : bool, default False
+        Keep the largest connected part of a mesh alone, after a repair; whoever needs the way back
+        to the points of the file finds it by `geometry.largest_component`.
     cloud : int, optional
         See meshes as so many random points.
     seed : int, default 0
@@ -69,6 +73,7 @@ class Plan:
     operator: Literal["robust", "cotan", "knn", "delaunay"] | None = None
     boundary: Literal["neumann", "dirichlet"] = "neumann"
     repair: bool = False
+    largest: bool = False
     cloud: int | None = None
     seed: int = 0
     descriptors: tuple[Descriptor, ...] = ()
@@ -92,7 +97,7 @@ class Plan:
                 raise InvalidInputError(name, "be named once each", named)
 
     def prepared(self, shape: Geometry) -> Geometry:
-        """Return a shape as it is looked at: repaired, and sampled, where the plan says so.
+        """Return a shape as it is looked at: repaired, its largest part, and sampled, as planned.
 
         Parameters
         ----------
@@ -117,6 +122,8 @@ class Plan:
         """
         if self.repair:
             shape = repair(shape).geometry
+        if self.largest and isinstance(shape, TriangleMesh):
+            shape = largest_component(shape).mesh
         if self.cloud is None:
             return shape
         if not isinstance(shape, TriangleMesh):
@@ -187,7 +194,12 @@ class Plan:
     def facts(self) -> dict[str, object]:
         """What decides all that is kept of a file."""
         seed = None if self.cloud is None else self.seed  # of nothing else
-        reading = {"repair": self.repair, "cloud": self.cloud, "seed": seed}
+        reading = {
+            "repair": self.repair,
+            "largest": self.largest,
+            "cloud": self.cloud,
+            "seed": seed,
+        }
         kept = {"descriptors": list(self.descriptors), "operators": list(self.operators)}
         return {**self.solved, **reading, **kept}
 

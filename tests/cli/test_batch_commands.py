@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import bumpy, creature
+from conftest import bumpy, creature, joined, moved
 from running import printed, record, refusal
 
 import spectra_kit as sk
 from spectra_kit.cli import main
-from spectra_kit.geometry import TriangleMesh, write
+from spectra_kit.geometry import TriangleMesh, sphere, write
 from spectra_kit.store import SpectrumStore
 
 HERE = ("-k", 6, "--nworkers", 0)
@@ -64,6 +64,26 @@ def test_what_fails_is_named_with_its_reason_and_the_rest_goes_on(scans, capsys)
     mended = ("batch", "scans", "-o", "store", *HERE, "--repair")
     assert main([*map(str, mended)]) == 2
     assert "1 shape of 5 failed" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("always::spectra_kit.errors.SplitSurfaceWarning")
+def test_seams_are_told_and_repaired_and_specks_left_out(scans, capsys):
+    ball, speck = sphere(subdivisions=2).geometry, sphere(subdivisions=0).geometry
+    corners = joined(ball, moved(speck, 2, 0, 0, scale=0.01))
+    points = corners.points[corners.faces].reshape(-1, 3)
+    write(TriangleMesh(points, np.arange(len(points)).reshape(-1, 3)), "scans/flat.ply")
+    run = ("batch", "scans/flat.ply", "-o", "store", *HERE)
+    for _ in range(2):  # what is known already is told again
+        _, err = printed(capsys, *run)
+        assert "1 shape of 1, such as 'scans/flat.ply': boundary edges lie on others" in err
+        assert "join them with --repair" in err
+    out, err = printed(capsys, *run, "--repair", "--largest", "--json")
+    assert err == ""
+    store = SpectrumStore("store")
+    (shape,) = (one for one in store.records() if one.facts["largest"])
+    assert (shape.points, shape.components) == (ball.n, 1)
+    truth = sk.spectrum(ball, len(shape.eigenvalues)).eigenvalues
+    np.testing.assert_allclose(shape.eigenvalues, truth, rtol=1e-9, atol=1e-9)
 
 
 def test_names_that_stand_for_other_files_now_are_told(scans, capsys, monkeypatch):

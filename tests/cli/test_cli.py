@@ -259,12 +259,26 @@ def test_what_converged_is_saved(tmp_path, capsys, monkeypatch):
     assert f"20 modes, of which {converged} converged: " in message
 
 
+@pytest.mark.filterwarnings("always::spectra_kit.errors.SplitSurfaceWarning")
 def test_corners_that_are_not_joined_are_told(tmp_path, capsys) -> None:
     ball = sphere(subdivisions=1).geometry
     soup = TriangleMesh(ball.points[ball.faces.ravel()], np.arange(ball.faces.size).reshape(-1, 3))
     path = tmp_path / "soup.off"
     write(soup, path)
     _, told = printed(capsys, "spectrum", path, "-k", 3)
-    assert "198 points lie exactly on earlier ones, and the surface has 80 parts" in told
-    _, told = printed(capsys, "spectrum", path, "-k", 3, "--repair")
-    assert "lie exactly" not in told
+    assert "the surface falls into 80 parts, and has 1 if they are joined; join them with" in told
+    assert told.rstrip().endswith("--repair")
+    out, told = printed(capsys, "spectrum", path, "-k", 3, "--repair")
+    assert told == "repaired: 198 merged points\n"
+    assert "1 component" in out
+
+
+def test_the_largest_part_alone(tmp_path, capsys) -> None:
+    ball, speck = sphere(subdivisions=2).geometry, sphere(subdivisions=0).geometry
+    faces = np.vstack([speck.faces, ball.faces + speck.n])
+    write(
+        TriangleMesh(np.vstack([0.01 * speck.points + 2, ball.points]), faces), tmp_path / "a.off"
+    )
+    out, told = printed(capsys, "spectrum", tmp_path / "a.off", "-k", 3, "--largest")
+    assert told == "the largest part: 162 points; 12 left out\n"
+    assert "1 component" in out

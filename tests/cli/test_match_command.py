@@ -103,6 +103,38 @@ def test_what_is_aligned_is_refined(files, tmp_path, capsys, known):
     assert (np.load(tmp_path / "out" / "point_map.npy") == np.load(files / "order.npy")).all()
 
 
+def test_a_speck_and_seams_leave_no_shape_out_and_maps_number_the_files(files, tmp_path, capsys):
+    """The target has a speck before it; faces of the source have corners of their own."""
+    animal = read(files / "animal.off")
+    speck = sphere(subdivisions=0).geometry
+    points = np.vstack([0.01 * speck.points + [3, 0, 0], animal.points])
+    write(TriangleMesh(points, np.vstack([speck.faces, animal.faces + 12])), tmp_path / "scan.off")
+    corners = animal.points[animal.faces].reshape(-1, 3)
+    flat = TriangleMesh(corners, np.arange(len(corners)).reshape(-1, 3))
+    write(flat, tmp_path / "flat.ply")
+    pair, out = (tmp_path / "flat.ply", tmp_path / "scan.off"), tmp_path / "out"
+    assert "--largest" in refused(capsys, files / "animal.off", pair[1], "-k", 40, "-o", out)
+    at = np.full(animal.n, -1)  # the first corner at each vertex
+    at[animal.faces.ravel()[::-1]] = np.arange(len(corners))[::-1]
+    truth = np.concatenate([np.full(12, -1), at])
+    np.save(tmp_path / "truth.npy", truth)
+    np.savetxt(tmp_path / "pairs.txt", np.c_[at, np.arange(animal.n) + 12][::40], fmt="%d")
+    command = (*pair, "-k", 60, "--repair", "--largest", "--precise", "-o", out)
+    known = ("--truth", tmp_path / "truth.npy", "--landmarks", tmp_path / "pairs.txt")
+    told, err = printed(capsys, "match", *command, *known, "--no-pictures", "--json")
+    assert "the largest part: 600 points; 12 left out" in err
+    assert json.loads(told)["match"]["mean_error"] == 0
+    np.testing.assert_array_equal(np.load(out / "point_map.npy"), truth)
+    precise = sparse.load_npz(out / "precise_map.npz")
+    assert precise.shape == (len(points), len(corners))
+    np.testing.assert_allclose(precise @ corners, np.vstack([np.zeros((12, 3)), animal.points]))
+    assert set(os.listdir(out)) == FILES | {"precise_map.npz"}
+    (tmp_path / "pairs.txt").write_text("0 3\n")  # on the speck
+    assert main([*map(str, ("match", *command, *known))]) == 2
+    told = capsys.readouterr().err
+    assert "`--landmarks` must name points that are matched, got (0, 3)" in told
+
+
 def test_clouds_are_matched_and_judged_as_far_as_they_can_be(files, tmp_path, capsys):
     pair = (files / "cloud.ply", files / "cloud.ply")
     result = report(capsys, *pair, "-k", 40, "-o", tmp_path / "out")
@@ -255,9 +287,8 @@ def test_bad_input_is_refused_before_the_work(files, tmp_path, capsys, monkeypat
         (("--truth", "short.npy"), "got int64 of shape (7,)"),
         (("--truth", "beyond.npy"), "are source and target exchanged?"),
         (("--truth", "several.npz"), "not a whole npy file of numbers (it begins"),
-        (("--truth", truth, "--repair"), "repair or sample first"),
-        (("--landmarks", landmarks, "--cloud", 700), "repair or sample first"),
-        (("--initial", truth, "--repair"), "repair or sample first"),
+        (("--landmarks", landmarks, "--cloud", 700), "sample first"),
+        (("--truth", truth, "--cloud", 700), "sample first"),
         (("--initial", "unknown.npy"), "are source and target exchanged?"),
         (("--initial", truth, "--aligned"), "--initial has no effect with --aligned; give one"),
         (("--part", "--aligned"), "--aligned has no effect with --part; match wholes"),

@@ -14,7 +14,7 @@ from conftest import refused
 from torch.utils.data import DataLoader
 
 import spectra_kit as sk
-from spectra_kit.errors import InvalidFileError, InvalidInputError
+from spectra_kit.errors import DoubtfulMatchWarning, InvalidFileError, InvalidInputError
 from spectra_kit.geometry import TriangleMesh, creature, rectangle, torus, write
 from spectra_kit.learning import (
     Batch,
@@ -348,14 +348,14 @@ def test_operators_that_are_kept_are_those_that_are_assembled(store, tmp_path):
     assert StoreDataset(own, operators=())[0].stiffness is None
 
 
-def test_a_surface_without_an_outer_side_is_refused_unless_that_does_not_matter(tmp_path):
+def test_a_face_of_the_other_winding_is_turned_where_sides_matter(tmp_path):
     ring = SHAPES["ring"]
     faces = ring.faces.copy()
     faces[0] = faces[0, ::-1]
     store = fill(tmp_path, {"ring": TriangleMesh(ring.points, faces)}, Plan(k=8))
-    with pytest.raises(InvalidInputError, match="have faces of one winding") as caught:
-        StoreDataset(store)[0]
-    assert caught.value.__notes__ == ["of the shape 'ring'"]
+    with pytest.warns(DoubtfulMatchWarning, match="1 face wound against the others"):
+        outer = StoreDataset(store)[0]
+    assert outer.frames.shape == (ring.n, 3, 3)
     assert StoreDataset(store, oriented=False)[0].frames.shape == (ring.n, 3, 3)
 
 

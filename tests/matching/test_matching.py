@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import creature, refused
 
-from spectra_kit import InvalidInputError, Spectrum, TriangleMesh, robust_laplacian
+from spectra_kit import Spectrum, TriangleMesh, robust_laplacian
 from spectra_kit.correspondence import Truth, geodesic_errors
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.errors import DoubtfulMatchWarning
@@ -373,8 +373,6 @@ def test_what_cannot_be_matched_is_refused(mesh, spectrum, source) -> None:
     values = np.array([0.0, 0.0, *spectrum.eigenvalues[2:]])
     two = Spectrum(values, spectrum.eigenvectors, spectrum.mass)
     fixed = Spectrum(spectrum.eigenvalues[1:], spectrum.eigenvectors[:, 1:], spectrum.mass)
-    faces = np.array(mesh.faces)
-    faces[::2] = faces[::2, ::-1]
     for argument, expected, given in (
         ("spectrum", "be of one connected surface", (two,)),
         ("spectrum", "hold the constant mode", (fixed,)),
@@ -383,5 +381,18 @@ def test_what_cannot_be_matched_is_refused(mesh, spectrum, source) -> None:
     ):
         refused(argument, expected, prepare, *given)
     refused("n_samples", "be at least 200", prepare, spectrum, n_samples=199)
-    with pytest.raises(InvalidInputError, match="faces of one winding"):
-        prepare(spectrum, TriangleMesh(mesh.points, faces))
+
+
+def test_a_map_needs_the_winding_of_most_faces() -> None:
+    """What neighbours tell is as good as what the file says: the very same is prepared."""
+    mesh = creature(900)
+    spectrum, faces = eigensolve(robust_laplacian(mesh), 40), np.array(mesh.faces)
+    faces[::2] = faces[::2, ::-1]
+    with pytest.warns(DoubtfulMatchWarning, match="wound against the others"):
+        mixed = prepare(spectrum, TriangleMesh(mesh.points, faces))
+    truth, seen = prepare(spectrum, mesh).surface, mixed.surface
+    assert truth is not None
+    assert seen is not None
+    assert seen.oriented.consistent == 1
+    np.testing.assert_allclose(seen.form, truth.form, atol=1e-12)
+    np.testing.assert_allclose(seen.curvature, truth.curvature, atol=1e-9)

@@ -7,7 +7,7 @@ import igl
 import numpy as np
 import pytest
 from conftest import ball as random_directions
-from conftest import joined, moved, refused
+from conftest import joined, moebius, moved, refused
 from scipy import sparse
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
@@ -45,21 +45,6 @@ def plate(n: int = 400, stretch: float = 12.0) -> TriangleMesh:
 def flat_free(mesh: TriangleMesh) -> TriangleMesh:
     """The mesh without the slivers of its hull, which only mollification could save."""
     return mesh.without_degenerate_faces(relative_area=1e-3).without_unreferenced()
-
-
-def moebius(n: int = 60, m: int = 6) -> TriangleMesh:
-    around, across = np.meshgrid(np.arange(n), np.arange(m), indexing="ij")
-    angle = 2 * np.pi * around.ravel() / n
-    offset = 0.8 * (across.ravel() / (m - 1) - 0.5) + 0.01 * RNG(0).random(n * m)
-    radius = 1 + offset * np.cos(angle / 2)
-    points = np.c_[radius * np.cos(angle), radius * np.sin(angle), offset * np.sin(angle / 2)]
-    i, j = np.arange(n)[:, None], np.arange(m - 1)
-    far = (i + 1) % n
-    turned = np.where(far == 0, m - 1 - np.arange(m), np.arange(m))  # upside down after a turn
-    a, b = i * m + j, i * m + j + 1
-    c, d = far * m + turned[:, 1:], far * m + turned[:, :-1]
-    faces = np.concatenate([np.stack([a, d, c], 2), np.stack([a, c, b], 2)])
-    return TriangleMesh(points, faces.reshape(-1, 3))
 
 
 def with_any_winding(mesh: TriangleMesh) -> TriangleMesh:

@@ -1,11 +1,11 @@
 """Oriented triangles, and what is integrated over them."""
 
-import igl
 import numpy as np
 import pytest
-from conftest import creature, refused
+from conftest import creature, moebius, refused
 
 from spectra_kit import PointCloud, TriangleMesh
+from spectra_kit.errors import DoubtfulMatchWarning
 from spectra_kit.geometry import disk, rectangle, sample_with_origin, sphere
 from spectra_kit.operators.oriented import (
     OrientedTriangles,
@@ -88,14 +88,31 @@ def test_flat_meshes_and_pillows_keep_their_winding() -> None:
         assert (oriented_triangles(mesh).faces == mesh.faces).all()
 
 
-def test_mixed_winding_is_refused_with_a_way_out() -> None:
-    mesh = sphere(subdivisions=1).geometry
-    faces = np.array(mesh.faces)
-    faces[::3] = faces[::3, FLIP]
-    mixed = TriangleMesh(mesh.points, faces)
-    refused("mesh", "have faces of one winding", oriented_triangles, mixed)
-    repaired = TriangleMesh(mesh.points, igl.bfs_orient(faces)[0])
-    assert volume_of(TriangleMesh(mesh.points, oriented_triangles(repaired).faces)) > 0
+@pytest.mark.parametrize("every", [3, 7, 600])
+@pytest.mark.parametrize("mirror", [1, -1])
+def test_faces_of_mixed_winding_are_turned_as_their_neighbours_are(every: int, mirror: int) -> None:
+    mesh = creature(600)
+    points, faces = mesh.points * [1, mirror, 1], np.array(mesh.faces)
+    faces[::every] = faces[::every, FLIP]
+    with pytest.warns(DoubtfulMatchWarning, match=r"faces? wound against .* geometry.repair"):
+        oriented = oriented_triangles(TriangleMesh(points, faces))
+    truth = oriented_triangles(mesh.with_points(points))
+    assert (oriented.faces == truth.faces).all()
+    assert oriented.consistent == 1
+
+
+def test_where_no_turning_helps_it_is_told_and_the_rest_is_oriented() -> None:
+    """A ball beside a Möbius strip: the ball has its inside."""
+    ball, strip = sphere(subdivisions=3).geometry, moebius()
+    points = np.vstack([ball.points, strip.points + [3, 0, 0]])
+    faces = np.vstack([ball.faces, strip.faces + ball.n])
+    with pytest.warns(DoubtfulMatchWarning, match="edges at which no turning") as told:
+        oriented = oriented_triangles(TriangleMesh(points, faces))
+    assert len(told) == 1
+    assert 0.9 < oriented.consistent < 1
+    assert volume_of(TriangleMesh(points, oriented.faces[: len(ball.faces)])) == pytest.approx(
+        volume_of(ball)
+    )
 
 
 # --- clouds ---------------------------------------------------------------------------------
