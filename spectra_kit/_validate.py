@@ -78,7 +78,7 @@ def check_points(name: str, values: ArrayLike) -> Floats:
         name,
         array,
         advice="{} leaves such points out, and tells which",
-        remedies=("without_nan()",),
+        remedies=("geometry.without_nan()",),
     )
 
 

@@ -24,7 +24,7 @@ _OPTIONS = {
     "mesh.without_duplicate_faces()": "--repair",
     "mesh.with_merged_vertices()": "--repair",
     "cloud.without_duplicates()": "--repair",
-    "without_nan()": "--repair",
+    "geometry.without_nan()": "--repair",
     **{f"{name}_laplacian": f"--operator {name}" for name in OPERATORS},
     **{name.capitalize(): f"--solver {name}" for name in SOLVERS},
     # What no command can be told.
