@@ -47,6 +47,7 @@ def test_what_is_damaged_below_can_be_read(tmp_path, kind):
         ("obj", "f 1 2 3", f"f 1 2 {10**20}", "line 4 is broken: .* more than 64 bits"),
         ("obj", "f 1 2 3", "f 1 2 1_0", "line 4 is broken: .*'1_0' is no integer"),
         ("obj", "f 1 2 3", "f 1 2 3\nb 1 2 3", "line 5 .*must begin with a keyword of OBJ"),
+        ("obj", "f 1 2 3", "f 1 2 3\nf01 2 3", "line 5 .*must begin with a keyword of OBJ"),
         ("obj", "f 1 2 3", "f 1 2 3\nt 1 2 3", "line 5 .*must begin with a keyword of OBJ"),
         ("obj", "f 1 2 3\n", "f 1 2 3\nf 1 2 \\", "ends in a backslash"),
         ("off", "OFF", "ply", "must start with the keyword OFF, got 'ply'"),

@@ -171,7 +171,7 @@ def _statements(text: bytes) -> Iterator[tuple[int, list[str]]]:
 def _check_unknown(words: list[str]) -> None:
     """Refuse what may have been a vertex or a face: those of other programs have longer names."""
     is_tag = words[0] == "t" and len(words) > 1 and words[1].isalpha()  # of subdivision surfaces
-    if not is_tag and not re.fullmatch("[A-Za-z][A-Za-z0-9_.:-]+", words[0]):
+    if not is_tag and not re.fullmatch("[A-Za-z]{2}[A-Za-z0-9_.:-]*", words[0]):
         raise ValueError("it must begin with a keyword of OBJ")
 
 
