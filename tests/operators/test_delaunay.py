@@ -185,9 +185,9 @@ def test_points_along_lines_are_one_surface(name: str) -> None:
     if truth == "sheet":  # of 1 by 0.95
         truth = np.sort([(i**2 + (j / 0.95) ** 2) * np.pi**2 for i in range(4) for j in range(4)])
         truth = truth[1:6]
-    if truth == "torus":
+    elif truth == "torus":
         truth = torus(n=400, major=1.0, minor=0.4).eigenvalues[1:6]
-    if truth == "ellipsoid":
+    elif truth == "ellipsoid":
         fine = sphere(subdivisions=4).geometry
         fine = robust_laplacian(TriangleMesh(fine.points * WIDE, fine.faces))
         truth, area = eigensolve(fine, 6).eigenvalues[1:], fine.area
