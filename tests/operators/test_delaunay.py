@@ -210,7 +210,7 @@ def test_parts_that_look_like_lines_of_one_surface_are_told() -> None:
 
 
 def test_parts_far_from_each_other_are_parts() -> None:
-    apart = PointCloud(np.vstack([ball(600), ball(600, 1) + [2.8, 0, 0], grid(20, 20) / 9 + 5]))
+    apart = PointCloud(np.vstack([ball(600), ball(600, 1) + [4, 0, 0], grid(20, 20) / 9 + 5]))
     for build in (delaunay_laplacian, knn_laplacian):  # a warning would be an error
         assert build(apart).n_components == 3
 
