@@ -334,7 +334,7 @@ def test_coarse_meshes_take_exact_distances_and_the_heat_method_is_doubted(name)
     heat = HeatGeodesics(mesh)
     with too_large as told:
         off = relative_error(heat.distance(0), field.distance)
-    assert off > 0.035
+    assert off > 0.0375
     assert f"by {off:.0%}" in str(told[0].message)
     with too_large:  # of which it was told already; other sources are no better
         heat.distances([mesh.n - 1])
@@ -344,7 +344,9 @@ def test_coarse_meshes_take_exact_distances_and_the_heat_method_is_doubted(name)
 def test_well_resolved_meshes_are_not_doubted(points) -> None:
     for mesh in (sphere(subdivisions=3).geometry, rectangle(n=points).geometry):
         source = middle_of(mesh)
-        assert relative_error(HeatGeodesics(mesh).distance(source), by_libigl(mesh, source)) < 0.035
+        assert (
+            relative_error(HeatGeodesics(mesh).distance(source), by_libigl(mesh, source)) < 0.0375
+        )
 
 
 def test_each_part_is_doubted_by_its_own_triangles() -> None:
