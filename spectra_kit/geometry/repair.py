@@ -129,7 +129,8 @@ def repair(geometry: Geometry, *, merge: bool = True) -> Repaired:
     ... )
     >>> repaired = repair(mesh)
     >>> repaired.report
-    RepairReport(merged_points=1, degenerate_faces=1, duplicate_faces=1, unreferenced_vertices=1)
+    RepairReport(merged_points=1, degenerate_faces=1, duplicate_faces=1, unreferenced_vertices=1,
+                 nan_points=0)
     >>> repaired.vertex_index
     array([0, 2, 3])
     >>> repaired.restore([10.0, 20.0, 30.0])
