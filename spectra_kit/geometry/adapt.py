@@ -42,16 +42,16 @@ def as_geometry(thing: Any) -> Geometry:
         In the unit of `thing`. Polygons become triangles. Planar vertices (n, 2) with faces get
         z = 0.
 
+    Raises
+    ------
+    InvalidInputError
+        If it is none of these, a file cannot be read, or the arrays are no valid geometry.
+
     Warns
     -----
     IgnoredContentWarning
         If there is more in `thing` that is no part of a surface: lines, vertex cells and volumes
         beside its faces, or what follows the faces in a tuple.
-
-    Raises
-    ------
-    InvalidInputError
-        If it is none of these, a file cannot be read, or the arrays are no valid geometry.
 
     Examples
     --------

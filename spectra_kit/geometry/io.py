@@ -71,12 +71,6 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     TriangleMesh or PointCloud
         In the unit of the file.
 
-    Warns
-    -----
-    IgnoredContentWarning
-        If the file holds more than was taken, or otherwise than its format has it: one warning that
-        says what was passed over, and where. Texture, normals and colours are not told of.
-
     Raises
     ------
     InvalidFileError
@@ -85,6 +79,12 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
         formats that others read, it says who, and how to hand over what they return.
     OutOfMemoryError
         If the content does not fit into memory.
+
+    Warns
+    -----
+    IgnoredContentWarning
+        If the file holds more than was taken, or otherwise than its format has it: one warning that
+        says what was passed over, and where. Texture, normals and colours are not told of.
 
     Notes
     -----

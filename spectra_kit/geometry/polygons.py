@@ -132,7 +132,7 @@ def triangulate(points: Floats, polygons: Polygons | Sequence[Sequence[int]] | I
     >>> from spectra_kit.geometry.polygons import triangulate
     >>> dart = np.array([[2.0, 0, 0], [0, 3, 0], [-2, 0, 0], [0, 1, 0]])
     >>> triangulate(dart, [[0, 1, 2, 3]]).tolist()
-    [[3, 0, 1], [1, 2, 3]]
+    [[3, 0, 1], [3, 1, 2]]
     """
     corners, sizes = polygons if isinstance(polygons, Polygons) else Polygons.of(polygons)
     corners = check_indices("faces", corners, len(points))
