@@ -85,7 +85,8 @@ class View:
             if stands[up] < _STANDS:
                 below, above = _support(points, "xyz".index(up))
                 turned_over = _stands_on(-points, "xyz".index(up)) >= _STANDS
-                up = f"-{up}" if above > below * (1 if turned_over else _RATHER) else up
+                if above > below * (1 if turned_over else _RATHER):
+                    up = "-z" if up == "z" else "-y"
         axis, size = "xyz".index(up[-1]), np.ptp(points, axis=0)
         vertical = np.eye(3)[axis] * (-1 if up.startswith("-") else 1)
         flat = size[axis] < 0.12 * np.delete(size, axis).min()
