@@ -75,7 +75,7 @@ def test_seams_are_told_and_repaired_and_specks_left_out(scans, capsys):
         _, err = printed(capsys, *run)
         assert "1 shape of 1, such as 'scans/flat.ply': boundary edges lie on others" in err
         assert "join them with --repair" in err
-    out, err = printed(capsys, *run, "--repair", "--largest", "--json")
+    _, err = printed(capsys, *run, "--repair", "--largest", "--json")
     assert err == ""
     store = SpectrumStore("store")
     (shape,) = (one for one in store.records() if one.facts["largest"])
