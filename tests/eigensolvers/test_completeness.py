@@ -115,6 +115,7 @@ def test_parts_are_completed_one_by_one() -> None:
 def test_what_cannot_be_completed_is_an_error(bumpy_laplacian, monkeypatch) -> None:
     """The modes found are handed over, and the certificate says that some are missing."""
     monkeypatch.setattr(solve, "Refined", partial(sk.Refined, max_sweeps=1))
+    monkeypatch.setattr(sk.Dense, "few", 0)
     with pytest.raises(
         sk.ConvergenceError, match="at least 10 modes of the lowest 20 were"
     ) as error:
@@ -122,6 +123,17 @@ def test_what_cannot_be_completed_is_an_error(bumpy_laplacian, monkeypatch) -> N
     certificate = error.value.partial.certificate
     assert (certificate.level, certificate.count.missing) == ("residuals", 10)
     assert certificate.completeness.startswith("the first 5 of 20; ")
+
+
+def test_what_sweeps_cannot_complete_is_solved_densely_on_few_points(
+    bumpy_laplacian, monkeypatch
+) -> None:
+    monkeypatch.setattr(solve, "Refined", partial(sk.Refined, max_sweeps=1))
+    completed = sk.eigensolve(bumpy_laplacian, 20, Forgetful(*range(5, 15)))
+    exact = sk.eigensolve(bumpy_laplacian, 20).eigenvalues
+    assert completed.eigenvalues == pytest.approx(exact, rel=1e-10, abs=1e-10)
+    assert (completed.certificate.level, completed.provenance.name) == ("verified", "dense")
+    assert "passed over" in completed.provenance.reason
 
 
 def test_modes_are_kept_where_the_count_does_not_fit_into_memory(
