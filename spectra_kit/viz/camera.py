@@ -76,7 +76,8 @@ class View:
             points = sample(geometry, 4000, seed=0).points
         else:
             points = geometry.points[:: max(geometry.n // 4000, 1)]
-        up, turn = self.up, math.fmod(self.turn, 360)
+        up: str | None = self.up
+        turn = math.fmod(self.turn, 360)
         if up is None:
             if (facing := _facing(points)) is not None:
                 return _turned(facing, facing[1], turn)
