@@ -195,11 +195,10 @@ def parsing(path: str | os.PathLike[str], what: str, *, remedy: str) -> Iterator
         raise InvalidFileError(path, problem) from error
     except SpectraKitError:
         raise
-    except FileNotFoundError as error:
-        raise InvalidFileError(
-            path, f"there is no such {what}; looked from {Path.cwd()}"
-        ) from error
     except (*_DAMAGE, OSError) as error:
+        if isinstance(error, FileNotFoundError) and not Path(path).exists():
+            absent = f"there is no such {what}; looked from {Path.cwd()}"
+            raise InvalidFileError(path, absent) from error
         told = str(error).split("\n")[0] or type(error).__name__
         problem = InvalidInputError(f"not a whole {what} ({told})", advice=remedy)
         raise InvalidFileError(path, problem) from error

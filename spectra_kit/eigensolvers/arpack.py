@@ -177,44 +177,6 @@ class Arpack:
         clock.stage("lanczos")
         return Eigenpairs(unit / values + sigma, vectors / root[:, None], clock.seconds)
 
-    def or_densely(self, laplacian: Laplacian, k: int, reason: str) -> Eigenpairs:
-        """Return what this solver finds, or LAPACK where it gives up on few points; says which.
-
-        Parameters
-        ----------
-        laplacian : Laplacian
-            As for `eigenpairs`.
-        k : int
-            Modes.
-        reason : str
-            Why this solver was chosen.
-
-        Returns
-        -------
-        Eigenpairs
-            With ``solver`` and ``reason``.
-
-        Raises
-        ------
-        NotConvergedError
-            On more than `Dense.few` points.
-
-        Examples
-        --------
-        >>> from spectra_kit import Arpack, robust_laplacian
-        >>> from spectra_kit.geometry import sphere
-        >>> ball = robust_laplacian(sphere(subdivisions=3).geometry)
-        >>> Arpack().or_densely(ball, 4, "few points").solver
-        Arpack(tol=0.0, shift=0.1, seed=0, max_restarts=1000)
-        """
-        try:
-            return self.eigenpairs(laplacian, k)._replace(solver=self, reason=reason)
-        except NotConvergedError as error:
-            if laplacian.n > Dense.few:
-                raise
-            dense, why = Dense(), f"{laplacian.n} points are few, and Lanczos gave up ({error})"
-            return dense.eigenpairs(laplacian, k)._replace(solver=dense, reason=why)
-
     def _sliced(self, laplacian: Laplacian, k: int, sigma: float) -> Eigenpairs:
         """Return many modes, from block Lanczos around several shifts."""
         solved = partial(
@@ -246,3 +208,14 @@ class Arpack:
         raise NotConvergedError(
             told, pairs, advice=("raise {}", "use {}"), remedies=("max_restarts", "Refined")
         )
+
+
+def or_densely(solver: Arpack, laplacian: Laplacian, k: int, reason: str) -> Eigenpairs:
+    """Return what Lanczos finds, or LAPACK where it gives up on few points; says which, and why."""
+    try:
+        return solver.eigenpairs(laplacian, k)._replace(solver=solver, reason=reason)
+    except NotConvergedError as error:
+        if laplacian.n > Dense.few:
+            raise
+        dense, why = Dense(), f"{laplacian.n} points are few, and Lanczos gave up ({error})"
+        return dense.eigenpairs(laplacian, k)._replace(solver=dense, reason=why)

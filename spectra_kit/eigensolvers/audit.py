@@ -93,4 +93,5 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
         return errors
     below = np.array(numbers)[:, None] <= np.arange(k)  # none of these is lower than that floor
     lowest = np.where(below, np.array(floors)[:, None], 0.0).max(axis=0)
-    return np.asarray(np.maximum(errors, values - lowest))
+    held = np.array(numbers)[np.array(numbers) <= refuted.argmax()]  # what is lower lacks nothing
+    return np.where(np.arange(k) < held.max(), errors, np.maximum(errors, values - lowest))

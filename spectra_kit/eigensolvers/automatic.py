@@ -10,7 +10,7 @@ import numpy as np
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, check_positive, quantity
-from spectra_kit.eigensolvers.arpack import Arpack
+from spectra_kit.eigensolvers.arpack import Arpack, or_densely
 from spectra_kit.eigensolvers.audit import is_hard
 from spectra_kit.eigensolvers.base import (
     Eigenpairs,
@@ -162,7 +162,7 @@ class Automatic:
         """See `Eigensolver.eigenpairs`."""
         solver, reason = self.choose(laplacian.n, k)
         if isinstance(solver, Arpack):
-            return solver.or_densely(laplacian, k, reason)
+            return or_densely(solver, laplacian, k, reason)
         found = Eigenpairs(*solver.eigenpairs(laplacian, k))
         if found.solver is None or found.solver is solver:
             found = found._replace(solver=solver, reason=reason)

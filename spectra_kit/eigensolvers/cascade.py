@@ -10,7 +10,7 @@ import numpy as np
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, check_positive, quantity
-from spectra_kit.eigensolvers.arpack import Arpack
+from spectra_kit.eigensolvers.arpack import Arpack, or_densely
 from spectra_kit.eigensolvers.audit import counted_errors
 from spectra_kit.eigensolvers.base import Eigenpairs, Promise, set_device
 from spectra_kit.eigensolvers.starts import basis_with_kernel, block_size
@@ -122,7 +122,7 @@ class Cascade(OnPoints):
         few = self.coarsest is None and k <= _FEW_MODES and laplacian.n <= _FEW_POINTS
         if self.subspace is None and (few or not levels):
             why = f"an exact solution is quickest for {quantity(k, 'mode')} of {laplacian.n} points"
-            return Arpack(seed=self.seed).or_densely(laplacian, k, why)
+            return or_densely(Arpack(seed=self.seed), laplacian, k, why)
         clock.stage("coarsen")
         bottom = levels[-1] if levels else gathers
         with device_memory(), team():

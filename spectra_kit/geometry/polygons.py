@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import mapbox_earcut
 import numpy as np
 from numpy.typing import NDArray
 
@@ -203,6 +202,8 @@ def _fans(outlines: Floats) -> tuple[Floats, NDArray[np.bool_]]:
 
 def _ears(outline: Floats, face: int) -> Ints:
     """Cut one outline (s, 3) by its ears: s - 2 triangles, or none where it encloses nothing."""
+    import mapbox_earcut  # where a mesh has such polygons: few do
+
     normal = np.cross(outline[:-1], outline[1:]).sum(axis=0)
     area = float(np.linalg.norm(normal))
     # Where areas cancel there is no plane but that in which the corners spread most.

@@ -18,6 +18,7 @@ from spectra_kit._types import Bools, Floats, Ints
 from spectra_kit._validate import quantity, warn
 from spectra_kit.errors import SplitSurfaceWarning
 from spectra_kit.geometry.shapes import TriangleMesh, distinct_rows
+from spectra_kit.geometry.units import box_unit
 
 #: Of the shortest edge at either point: so near are copies that were rounded. Coordinates of seven
 #: digits, of six in texts, are off by 1e-3 of edges that are a thousandth of the whole; what is
@@ -45,6 +46,8 @@ def joined(points: Floats, reach: Floats) -> Ints:
     label = np.arange(len(points))
     if len(points) < 2:
         return label
+    unit = box_unit(points)  # in which nothing overflows
+    points, reach = points / unit, reach / unit
     tree = cKDTree(points)
     beside = tree.query(points, k=2)[0][:, 1]
     some = np.flatnonzero(beside <= reach)  # hardly any, as a rule

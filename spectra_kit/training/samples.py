@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from spectra_kit._validate import check_count
+from spectra_kit._validate import check_count, hearing
 from spectra_kit.eigensolvers import Arpack
 from spectra_kit.eigensolvers.base import NotConvergedError
 from spectra_kit.errors import ConvergenceError, InvalidInputError
@@ -258,7 +258,8 @@ def _attempted(config: CorpusConfig, index: int, attempt: int) -> Sample | str:
     points = geometry.points - geometry.points.mean(axis=0)
     points = points / np.abs(points).max()
     try:
-        laplacian = delaunay_laplacian(geometry.with_points(points))
+        with hearing():  # of parts, which are rejected
+            laplacian = delaunay_laplacian(geometry.with_points(points))
         if laplacian.n_components > 1:
             return "components"
         # Not by `eigensolve`: certificate and count of modes would be a third of the work.

@@ -63,7 +63,7 @@ def test_every_command_refuses_bad_files_in_one_line(name, folder, inside, capsy
         ("sub", "sub: this is a folder, expected a file; name one in it"),
         ("empty.off", "empty.off: the file is empty"),
         ("-", "/dev/stdin: pipes are not read, expected a file whose name ends in its format (o"),
-        ("text.docx", "cannot read the format '.docx'; known are .glb, "),
+        ("text.docx", "cannot read the format '.docx'; what meshio, PyVista or trimesh read"),
     ):
         assert message in refusal(capsys, name, file, *second, *source)
     assert main([name, "none.off", *second, *source, "--debug"]) == 2

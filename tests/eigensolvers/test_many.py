@@ -219,6 +219,7 @@ def test_an_accelerator_gives_what_the_host_does():
 
 
 @pytest.mark.data
+@pytest.mark.filterwarnings("ignore:the cloud falls into")  # as one of them has parts
 def test_real_clouds_are_solved_as_alone():
     folder = data_folder()
     if folder is None or not (folder / "train_pool").is_dir():

@@ -114,7 +114,7 @@ def test_what_cannot_be_embedded_is_named_and_the_rest_goes_on(folder):
     two = np.concatenate([ball.points, ball.points + 9])
     write(TriangleMesh(two, np.concatenate([ball.faces, ball.faces + ball.n])), folder / "two.off")
     write(PointCloud(np.eye(3)), folder / "tiny.xyz")
-    (folder / "broken.obj").write_text("v 1 2\n")
+    (folder / "broken.obj").write_text("v 1\n")
     told = []
     index = index_folder(folder, RECIPE, progress=lambda done, total: told.append((done, total)))
     assert len(index.names) == 5

@@ -21,6 +21,8 @@ PAIRS = [
 ]
 
 
+# What is predicted of one body lacks its mode 95, which counts show.
+@pytest.mark.filterwarnings("ignore:target = 0.001 was not reached")
 @pytest.mark.parametrize(("folder", "source", "target", "solver", "limit"), PAIRS)
 def test_real_shapes_are_not_flipped(folder, source, target, solver, limit) -> None:
     root = data_folder()

@@ -105,8 +105,7 @@ def test_geometries_stay_themselves() -> None:
     [
         (5, "5", "make one, too"),
         ({"points": 1}, "a dict", "make one, too"),
-        (pv.Cube(), "a PolyData", "triangulate() cuts them"),
-        (pv.Line(), "a PolyData", "lines or strips"),
+        (pv.Line(), "a PolyData", "curves are no surface"),
         (pv.ImageData(dimensions=(2, 2, 2)), "an ImageData", "extract_surface()"),
         (pv.MultiBlock(), "a MultiBlock", "combine().extract_surface()"),
         (trimesh.Scene(), "a Scene", "scene.to_mesh()"),
