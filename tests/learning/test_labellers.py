@@ -547,9 +547,8 @@ def test_shapes_that_cannot_be_told():
         np.concatenate([BALL.points, BALL.points + 5]),
         np.concatenate([BALL.faces, BALL.faces + BALL.n]),
     )
-    with pytest.raises(
-        InvalidInputError, match=r"be connected.*got 2 components; .*label them one"
-    ):
+    told = r"be connected.*got 2 components; .*label them one"
+    with pytest.raises(InvalidInputError, match=told):
         known.classify(two)
     with pytest.raises(InvalidInputError, match="point"):
         known.classify(PointCloud([[0.0, 0, 0]]))
