@@ -19,7 +19,7 @@ from spectra_kit.errors import (
     OutOfMemoryError,
     SpectraKitWarning,
 )
-from spectra_kit.geometry import Geometry, TriangleMesh, diagnose, read
+from spectra_kit.geometry import Geometry, TriangleMesh, diagnose, read, without_nan
 from spectra_kit.geometry.formats.gltf import buffer_files
 from spectra_kit.linalg.memory import memory_limit
 from spectra_kit.linalg.threads import single_threaded_blas
@@ -257,7 +257,7 @@ def _shape(
             if Path(error.path).exists():
                 warn_of_damage(error)
                 remove(Path(error.path))
-    shape = plan.prepared(read(path))
+    shape = plan.prepared(without_nan(path).geometry if plan.repair else read(path))
     store.keep_shape(shape)
     return shape, tuple(map(str, diagnose(shape).problems))
 

@@ -69,6 +69,20 @@ def unprivileged():
             os.seteuid(0)
 
 
+def test_a_repair_leaves_nan_points_out(tmp_path):
+    ball = bumpy()
+    points = ball.points.copy()
+    points[5] = np.nan
+    rows = [f"v {x} {y} {z}" for x, y, z in points.tolist()]
+    rows += [f"f {a} {b} {c}" for a, b, c in (ball.faces + 1).tolist()]
+    (tmp_path / "scan.obj").write_text("\n".join(rows))
+    store = SpectrumStore(tmp_path / "store")
+    with pytest.raises(InvalidFileError, match="without_nan"):
+        complete(store, "scan", tmp_path / "scan.obj", Plan(k=5))
+    kept = complete(store, "scan", tmp_path / "scan.obj", Plan(k=5, repair=True))
+    assert kept.record.points == ball.n - 1
+
+
 def test_what_comes_back_is_what_was_solved(store):
     mesh = bumpy()
     exact = sk.eigensolve(sk.laplacian(mesh), 12)
