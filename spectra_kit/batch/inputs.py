@@ -220,9 +220,14 @@ def rows_of(path: Path, what: str, needed: Sequence[str]) -> Iterator[dict[str, 
     with path.open(newline="", encoding="utf-8-sig") as file:  # as spreadsheets write it
         try:
             table = csv.DictReader(file, strict=True)
-            rows, header = list(table), [name.strip() for name in table.fieldnames or ()]
+            rows, columns = list(table), list(table.fieldnames or ())
         except (csv.Error, UnicodeDecodeError) as error:
             raise InvalidFileError(path, f"not a table of commas in UTF-8 ({error})") from error
+    last = columns[-1] if columns else ""
+    if not last.strip() and columns.count(last) == 1 and not any(row[last] for row in rows):
+        rows = [{name: cell for name, cell in row.items() if name != last} for row in rows]
+        columns.pop()  # spreadsheets end each line with a comma
+    header = [name.strip() for name in columns]
     if rows and not (all(header) and len(set(header)) == len(header)):
         problem = InvalidInputError(
             what, "name each column, and otherwise than the others", ", ".join(map(repr, header))
@@ -230,9 +235,9 @@ def rows_of(path: Path, what: str, needed: Sequence[str]) -> Iterator[dict[str, 
         raise InvalidFileError(path, problem)
     names = " and ".join(map(repr, needed))
     if not rows or not set(needed) <= set(rows[0]):
-        columns = ", ".join(map(str, rows[0])) if rows else "no row"
+        got = ", ".join(map(str, rows[0])) if rows else "no row"
         kind = "a column" if len(needed) == 1 else "columns"
-        raise InvalidFileError(path, InvalidInputError(what, f"have {kind} {names}", columns))
+        raise InvalidFileError(path, InvalidInputError(what, f"have {kind} {names}", got))
     for number, row in enumerate(rows, start=2):
         if None in row or None in row.values() or not all(row[name] for name in needed):
             raise InvalidFileError(

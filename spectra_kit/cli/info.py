@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from contextlib import nullcontext
 
 from spectra_kit._validate import hearing
 from spectra_kit.cli import program, tables
@@ -20,7 +21,8 @@ def info(asked: program.Info) -> None:
     with step("looking at it"):
         diagnosis = diagnose(geometry)
     try:
-        with step("assembling the Laplacian"), hearing():  # the diagnosis tells of seams
+        told_of = hearing() if diagnosis.seam_edges else nullcontext()  # the diagnosis has seams
+        with step("assembling the Laplacian"), told_of:
             operator = tables.operator_record(assemble(asked, geometry))
     except InvalidInputError as error:
         operator = {"refused": told(error)}

@@ -39,7 +39,7 @@ _OPTIONS = {
     "geometry.largest_component(mesh)": "--largest",
     "cloud.without_duplicates()": "--repair",
     "geometry.without_nan()": "--repair",
-    "exact_distances": "--method auto",
+    "exact_distances": "--method auto, without --spectrum, --solver and --compare",
     **{f"{name}_laplacian": f"--operator {name}" for name in OPERATORS},
     **{name.capitalize(): f"--solver {name}" for name in SOLVERS},
     # What no command can be told.

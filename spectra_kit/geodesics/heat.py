@@ -29,6 +29,7 @@ from spectra_kit.geodesics.solvers import (
 )
 from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
 from spectra_kit.geodesics.system import COARSER, System
+from spectra_kit.geometry.seams import warn_of_seams
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.linalg.constant_kernel import ConstantKernel
 from spectra_kit.linalg.grounded import GroundedCholesky
@@ -348,8 +349,11 @@ class HeatGeodesics:
         if part not in self._errors:
             first = int(field.sources.vertices[0])
             alone = check_sources(first, self.geometry)
+            exact = _exact(self.geometry, alone)
+            if exact is None:
+                return
             heat = self._block(self._ready(self._component(alone)), [alone])[0].distance
-            self._errors[part] = first, _mean_error(heat, exact_distances(self.geometry, first))
+            self._errors[part] = first, _mean_error(heat, exact)
         first, error = self._errors[part]
         if error > _OFF:
             warn(
@@ -523,6 +527,14 @@ def _cold() -> InvalidInputError:
     )
 
 
+def _exact(mesh: TriangleMesh, sources: Sources) -> Floats | None:
+    """Return exact distances from vertices; None where triangles are too thin for them."""
+    try:
+        return exact_distances(mesh, sources.vertices)
+    except ConvergenceError:
+        return None
+
+
 def exact_field(
     geometry: Geometry | IntrinsicTriangulation, sources: SourcesLike
 ) -> DistanceField | None:
@@ -530,10 +542,11 @@ def exact_field(
     if not isinstance(geometry, TriangleMesh) or geometry.n > EXACT:
         return None
     clock, checked = Clock(), check_sources(sources, geometry)
-    if checked.offsets.any():
+    exact = None if checked.offsets.any() else _exact(geometry, checked)
+    if exact is None:
         return None
     return DistanceField(
-        distance=exact_distances(geometry, checked.vertices),
+        distance=exact,
         sources=checked,
         solver=Exact(),
         reason=f"at most {EXACT} vertices",
@@ -601,7 +614,8 @@ def geodesic_distance(
     plain = isinstance(solver, Automatic) and time_coefficient == 1 and boundary == "neumann"
     if plain and spectrum is None and weights is None:
         found = exact_field(geometry, sources)
-        if found is not None:
+        if found is not None and isinstance(geometry, TriangleMesh):
+            warn_of_seams(geometry)  # as operators do, of which there is none here
             return found
     geodesics = HeatGeodesics(
         geometry, spectrum, solver=solver, time_coefficient=time_coefficient, boundary=boundary

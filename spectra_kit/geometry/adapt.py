@@ -33,8 +33,8 @@ def as_geometry(thing: Any) -> Geometry:
         faces)``, a ``trimesh.Trimesh``, a ``pyvista.PolyData``, a ``meshio.Mesh``, a
         ``lapy.TriaMesh``, a ``GiftiImage`` of nibabel, meshes of Open3D, PyMeshLab and PyTorch
         Geometric, and whatever has vertices and faces make a mesh; an array of shape (n, 3), and
-        objects of these libraries that have points and no cells, a cloud. Points keep their order
-        and their number.
+        objects of these libraries that have points and no cells, a cloud. Points keep their order,
+        and their number, but for NaN points that no face uses.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def as_geometry(thing: Any) -> Geometry:
     -----
     IgnoredContentWarning
         If there is more in `thing` that is no part of a surface: lines, vertex cells and volumes
-        beside its faces, or what follows the faces in a tuple.
+        beside its faces, NaN points that no face uses, or what follows the faces in a tuple.
 
     Examples
     --------

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import quantity, warn
+from spectra_kit._validate import warn
 from spectra_kit.errors import SplitSurfaceWarning
 from spectra_kit.operators.laplacian import Laplacian
 
@@ -42,9 +42,9 @@ def warn_of_near_parts(laplacian: Laplacian, n_neighbors: int) -> None:
         near += gap <= reach or _is_line(offsets[distances <= gap])
     if near:
         warn(
-            f"the cloud falls into {laplacian.n_components:,} parts with an eigenvalue 0 each, and"
-            f" {quantity(near, 'part')} of them no further from the next than points or lines of"
-            " one surface are from each other",
+            f"the cloud falls into {laplacian.n_components:,} parts with an eigenvalue 0 each; from"
+            f" {near:,} of them, the next is no further than points or lines of one surface are"
+            " from each other",
             SplitSurfaceWarning,
             advice=f"if they are one surface, raise `n_neighbors` above {n_neighbors}, or thin the"
             " points along their lines",

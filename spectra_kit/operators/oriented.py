@@ -186,10 +186,14 @@ def _warn_of_winding(against: Bools, sides: Sides) -> None:
         found.append(f"{quantity(turned, 'face')} wound against the others, turned for now")
     if left:
         found.append(f"{quantity(left, 'edge')} at which no turning makes faces agree")
+    told = f"the mesh has {', and '.join(found)}; which side is out is told by the other faces"
+    if not turned:  # a repair would change nothing
+        warn(told, DoubtfulMatchWarning)
+        return
     warn(
-        f"the mesh has {', and '.join(found)}",
+        told,
         DoubtfulMatchWarning,
-        advice="which side is out is told by the other faces; {} turns faces for good",
+        advice="{} turns faces for good",
         remedies=("geometry.repair(mesh)",),
     )
 

@@ -15,11 +15,13 @@ from spectra_kit._validate import Brief, hearing
 from spectra_kit.eigensolvers.doubts import warn_of_doubts
 from spectra_kit.errors import (
     DamagedEntryWarning,
+    IgnoredContentWarning,
     InvalidFileError,
     OutOfMemoryError,
     SpectraKitWarning,
+    SplitSurfaceWarning,
 )
-from spectra_kit.geometry import Geometry, TriangleMesh, diagnose, read
+from spectra_kit.geometry import Geometry, TriangleMesh, diagnose, read, without_nan
 from spectra_kit.geometry.formats.gltf import buffer_files
 from spectra_kit.linalg.memory import memory_limit
 from spectra_kit.linalg.threads import single_threaded_blas
@@ -141,12 +143,18 @@ def read_file(store: SpectrumStore, name: str, path: Path, plan: Plan) -> FileRe
         digest=digest,
         old=old,
         shape=shape,
-        problems=problems,
+        problems=(*problems, *_passed_over(heard)),
         key=key,
         is_new=is_new,
         damaged=_damaged(heard),
         start=start,
     )
+
+
+def _passed_over(heard: Iterable[SpectraKitWarning]) -> tuple[str, ...]:
+    """Return what reading has told, without the path, which is another on each machine."""
+    told = (one for one in heard if isinstance(one, IgnoredContentWarning))
+    return tuple(str(one).removeprefix(f"{one.where}: ") for one in told)
 
 
 def _damaged(heard: Iterable[SpectraKitWarning]) -> tuple[str, ...]:
@@ -163,6 +171,11 @@ def finished(store: SpectrumStore, one: FileRead, plan: Plan) -> Completed:
             kind: store.keep_operator(shape, plan, kind) for kind in plan.operators
         }
     replaced = (*one.damaged, *_damaged(heard))
+    doubts = [*_doubts(spectrum, plan)]
+    if not isinstance(shape, TriangleMesh):  # of which `problems` tell
+        doubts += [str(told) for told in heard if isinstance(told, SplitSurfaceWarning)]
+    if one.old is not None and one.old.spectrum == key:  # which may not be computed again
+        doubts += one.old.warnings
     certificate = spectrum.certificate
     assert certificate is not None  # `eigensolve` certifies
     store.keep_shape(shape)  # where somebody has cleaned meanwhile
@@ -189,7 +202,7 @@ def finished(store: SpectrumStore, one: FileRead, plan: Plan) -> Completed:
         eigenvalues=tuple(spectrum.eigenvalues.tolist()),
         dna=tuple(signatures["dna"].tolist()) if "dna" in signatures else (),
         problems=one.problems,
-        warnings=_doubts(spectrum, plan),
+        warnings=tuple(dict.fromkeys(doubts)),
     )
     record = replace(record, sizes=store.sizes(record))
     if record != one.old:
@@ -257,7 +270,7 @@ def _shape(
             if Path(error.path).exists():
                 warn_of_damage(error)
                 remove(Path(error.path))
-    shape = plan.prepared(read(path))
+    shape = plan.prepared(without_nan(path).geometry if plan.repair else read(path))
     store.keep_shape(shape)
     return shape, tuple(map(str, diagnose(shape).problems))
 

@@ -114,7 +114,8 @@ class ShapeRecord:
     dna : tuple of float
         ShapeDNA, where the plan wants it.
     problems, warnings : tuple of str
-        What was found about the geometry, and what the solver warned of.
+        What was found about the geometry and passed over in its file, and what operator and solver
+        warned of.
 
     Notes
     -----

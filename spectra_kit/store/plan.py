@@ -37,7 +37,7 @@ class Plan:
         Of meshes with a boundary.
     repair : bool, default False
         Join seams, merge duplicates, drop degenerate faces and unused vertices, and turn faces, as
-        `geometry.repair` does.
+        `geometry.repair` does; and leave NaN points of files out, as `geometry.without_nan` does.
     largest : bool, default False
         Keep the largest connected part of a mesh alone, after a repair; whoever needs the way back
         to the points of the file finds it by `geometry.largest_component`.

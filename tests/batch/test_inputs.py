@@ -49,6 +49,12 @@ def test_manifests(folder):
     assert (first.name, dict(first.columns)) == ("anna", {"age": "31"})
     assert (second.name, dict(second.columns)) == ("../scans/b.off", {"age": "7"})
     assert first.path.samefile("scans/a.ply")
+    commas = "".join(f"{line},\n" for line in table.splitlines())  # as spreadsheets end lines
+    Path("lists/people.csv").write_text(commas, encoding="utf-8")
+    assert [one.columns for one in find_inputs(["lists/people.csv"])] == [
+        first.columns,
+        second.columns,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -66,7 +72,7 @@ def test_manifests(folder):
         ("file,label, label\na.ply,b,c\n", "otherwise than the others"),
         ('file,"label",label\na.ply,b,c\n', "otherwise than the others"),
         (",file,age\n0,a.ply,3\n", "name each column, and otherwise than the others, got ''"),
-        ("file,name,\na.ply,a,\n", "name each column"),
+        ("file,name,\na.ply,a,b\n", "name each column"),
         ("file, \na.ply,b\n", "name each column"),
     ],
 )

@@ -165,6 +165,15 @@ def test_info_and_repair(files, capsys):
     assert err == "repaired: nothing to do\n"
 
 
+@pytest.mark.filterwarnings("always::spectra_kit.errors.SplitSurfaceWarning")
+def test_info_tells_of_clouds_in_parts(tmp_path, capsys):
+    turn = np.linspace(0, 2 * np.pi, 100, endpoint=False)
+    ring = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(100)])
+    np.save(tmp_path / "rings.npy", np.concatenate([ring, ring + [0, 0, 1]]))
+    _, err = printed(capsys, "info", tmp_path / "rings.npy", "--operator", "knn")
+    assert "warning: the cloud falls into 2 parts" in err
+
+
 def test_compare_measures_a_prediction(files, capsys):
     told = record(capsys, "compare", files / "bumpy.off", "-k", 10, "--solver", "refined")
     result = told["comparison"]

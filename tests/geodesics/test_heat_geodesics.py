@@ -12,7 +12,12 @@ from scipy import sparse
 from scipy.spatial import Delaunay
 
 import spectra_kit as sk
-from spectra_kit.errors import ConvergenceError, DoubtfulDistanceWarning, OutOfMemoryError
+from spectra_kit.errors import (
+    ConvergenceError,
+    DoubtfulDistanceWarning,
+    OutOfMemoryError,
+    SplitSurfaceWarning,
+)
 from spectra_kit.geodesics import (
     Automatic,
     Direct,
@@ -22,11 +27,12 @@ from spectra_kit.geodesics import (
     HeatGeodesics,
     Iterative,
     check_sources,
+    exact_distances,
     geodesic_distance,
 )
 from spectra_kit.geodesics.heat_step import HeatStep
 from spectra_kit.geodesics.system import System
-from spectra_kit.geometry import TriangleMesh, rectangle, sphere
+from spectra_kit.geometry import TriangleMesh, rectangle, repair, sphere
 from spectra_kit.linalg import LinearSolution
 from spectra_kit.linalg.elimination import Elimination
 from spectra_kit.operators.intrinsic import intrinsic_delaunay
@@ -338,6 +344,28 @@ def test_coarse_meshes_take_exact_distances_and_the_heat_method_is_doubted(name)
     assert f"by {off:.0%}" in str(told[0].message)
     with too_large:  # of which it was told already; other sources are no better
         heat.distances([mesh.n - 1])
+
+
+def test_coarse_meshes_in_parts_are_told_of() -> None:
+    ball = sphere(subdivisions=1).geometry
+    loose = TriangleMesh(
+        ball.points[ball.faces].reshape(-1, 3), np.arange(3 * len(ball.faces)).reshape(-1, 3)
+    )
+    with pytest.warns(SplitSurfaceWarning, match="80 parts, and has 1 if they are joined"):
+        assert geodesic_distance(loose, 0).reached.sum() == 3
+    joined = repair(loose)
+    found = geodesic_distance(joined.geometry, joined.new_index[0]).distance
+    assert joined.restore(found) == pytest.approx(
+        by_libigl(ball, ball.faces[0, 0])[ball.faces].ravel()
+    )
+
+
+def test_triangles_too_thin_for_exact_distances_take_the_heat_method() -> None:
+    ball = sphere(subdivisions=1).geometry
+    needle = ball.with_points(ball.points * [1e7, 1, 1])
+    with pytest.raises(ConvergenceError, match="take geodesic_distance"):
+        exact_distances(needle, 5)
+    assert geodesic_distance(needle, 5).poisson is not None
 
 
 @pytest.mark.parametrize("points", [300, 1200])

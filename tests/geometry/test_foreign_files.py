@@ -203,7 +203,7 @@ FILES = [
     ),
     ("creases.obj", "ball", obj() + "t crease 2/1/0 1 2 4.7\n", "1 line of unknown words"),
     ("version.obj", "ball", "version 1\n" + obj(), "1 line of unknown words, the first is line 1"),
-    ("lines.obj", "ball", obj() + "l 1 2 3\np 1\n", "1 line that begin"),
+    ("lines.obj", "ball", obj() + "l 1 2 3\np 1\n", "1 line beginning"),
     ("edges.obj", "ball", obj() + "f 1 2\nf 3\n", "2 faces of fewer than 3 corners"),
     ("nan.obj", "ball", "v nan nan nan\n" + obj(corner="{1}"), "1 NaN vertex"),
     ("nan of microsoft.obj", "ball", obj(between="v -nan(ind) 0 0\n"), "1 NaN vertex"),
@@ -343,7 +343,7 @@ CLOUDS = [
     (
         "with lines.obj",
         rows(P, "v {}") + "l 1 2 3\nl 3 4\n",
-        "2 lines that begin with 'l', the first is line 51",
+        "2 lines beginning with 'l', the first is line 51",
     ),
     ("points.off", off(P, []), QUIET),
     ("points.ply", header(("vertex", 50, XYZ)) + rows(P), QUIET),

@@ -431,6 +431,11 @@ def test_npz_by_any_name(tmp_path, arrays, save):
         ({"a": V, "b": F}, r"\(d\[...\], d\[...\]\)", lambda d: (d["a"], d["b"])),
         ({"V": V, "points": V, "F": F}, r"d\[...\]\)", lambda d: (d["V"], d["F"])),
         ({"V": V.T, "F": F}, "its transpose", lambda d: (d["V"].T, d["F"])),
+        (
+            {"VERT": V, "TRIV": F.astype(str)},
+            "integers",
+            lambda d: (d["VERT"], d["TRIV"].astype(int)),
+        ),
     ],
 )
 def test_npz_that_needs_a_word(tmp_path, arrays, problem, way_on):
@@ -650,6 +655,7 @@ def test_files_of_numbers_say_how(tmp_path):
         ("a.nii.gz", r"hand over what skimage\.measure\.marching_cubes"),
         ("a.zip", "unpack it first"),
         ("a.vtp.gz", r"unpack it, then hand over pyvista\.read\(path\)"),
+        ("{a}.vtp.gz", r"convert it once: .*'\{a\}.ply'\), of \{a\}.vtp"),
         ("a.unheard", "hand over meshio"),
         ("none", "hand over meshio"),
     ],

@@ -200,7 +200,7 @@ def test_points_along_lines_are_one_surface(name: str) -> None:
 
 def test_parts_that_look_like_lines_of_one_surface_are_told() -> None:
     cut = PointCloud(slices(24, 200))  # flat at top and bottom, with nothing between two circles
-    with pytest.warns(SplitSurfaceWarning, match="2 parts of them"):
+    with pytest.warns(SplitSurfaceWarning, match="from 2 of them"):
         assert delaunay_laplacian(cut).n_components == 2
     with pytest.warns(SplitSurfaceWarning, match="raise `n_neighbors` above 20"):
         assert knn_laplacian(PointCloud(rings(24, 400))).n_components > 1

@@ -69,6 +69,36 @@ def unprivileged():
             os.seteuid(0)
 
 
+def test_a_repair_leaves_nan_points_out(tmp_path):
+    ball = bumpy()
+    points = ball.points.copy()
+    points[5] = np.nan
+    rows = [f"v {x} {y} {z}" for x, y, z in points.tolist()]
+    rows += [f"f {a} {b} {c}" for a, b, c in (ball.faces + 1).tolist()]
+    (tmp_path / "scan.obj").write_text("\n".join(rows))
+    store = SpectrumStore(tmp_path / "store")
+    with pytest.raises(InvalidFileError, match="without_nan"):
+        complete(store, "scan", tmp_path / "scan.obj", Plan(k=5))
+    kept = complete(store, "scan", tmp_path / "scan.obj", Plan(k=5, repair=True))
+    assert kept.record.points == ball.n - 1
+
+
+def test_records_tell_what_was_passed_over_and_of_clouds_in_parts(tmp_path):
+    ball = bumpy()
+    write(ball, tmp_path / "ball.obj")
+    with (tmp_path / "ball.obj").open("a") as file:
+        file.write("l 1 2\n")
+    turn = np.linspace(0, 2 * np.pi, 100, endpoint=False)
+    ring = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(100)])
+    write(PointCloud(np.concatenate([ring, ring + [0, 0, 1]])), tmp_path / "rings.xyz")
+    store, plan = SpectrumStore(tmp_path / "store"), Plan(k=5, operator="knn")
+    for _ in range(2):  # what is known is told again
+        record = complete(store, "ball", tmp_path / "ball.obj", Plan(k=5)).record
+        assert record.problems[0].startswith("passed over 1 line")
+        record = complete(store, "rings", tmp_path / "rings.xyz", plan).record
+        assert record.warnings[0].startswith("the cloud falls into 2 parts")
+
+
 def test_what_comes_back_is_what_was_solved(store):
     mesh = bumpy()
     exact = sk.eigensolve(sk.laplacian(mesh), 12)

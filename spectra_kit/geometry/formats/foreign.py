@@ -43,12 +43,15 @@ _WORDS = {
 def advice_for(path: Path) -> str:
     """Return what to do with a file of that name; its format may be one that is read here."""
     suffix = format_of(path)
-    first = f"unpack it, then {{}}, of {path.stem}" if path.suffix.lower() in PACKED else "{}"
+    first, last = "", ""
+    if path.suffix.lower() in PACKED:
+        first, last = "unpack it, then ", f", of {path.stem}"
     for call, formats in _CALLS.items():
         if suffix in formats.split():
-            return first.format(
-                f"hand over {call}, or convert it once: spectra_kit.write({call},"
-                f" {Path(path.stem).with_suffix('.ply').name!r})"
+            copy = Path(path.stem).with_suffix(".ply").name
+            return (
+                f"{first}hand over {call}, or convert it once: spectra_kit.write({call},"
+                f" {copy!r}){last}"
             )
     for words, formats in _WORDS.items():
         if suffix in formats.split():

@@ -106,7 +106,8 @@ def read_npz(path: Path) -> Arrays:
         raise
     except BROKEN as error:
         raise InvalidInputError(f"not a whole npz file of numbers ({error})") from error
-    if faces and names[faces[0]].lower() == "triv" and arrays[1].size and arrays[1].min() > 0:
+    is_matlab = bool(faces) and names[faces[0]].lower() == "triv" and arrays[1].dtype.kind in "iu"
+    if is_matlab and arrays[1].size and arrays[1].min() > 0:
         raise InvalidInputError(  # as MATLAB writes it
             f"{names[faces[0]]} must count from 0, where no face uses vertex 0",
             advice="if it counts from 1, hand over d = numpy.load(path), (d[...], d[...] - 1); if"

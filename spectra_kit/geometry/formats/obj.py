@@ -97,7 +97,7 @@ def line_by_line(text: bytes) -> Arrays:
             elif word == "f":
                 polygons.append(_corners(words[1:], len(rows)))
             elif word in SHAPES:
-                passed.setdefault(f"that begin with {word!r}", []).append(number)
+                passed.setdefault(f"beginning with {word!r}", []).append(number)
             elif not _is_quiet(word):
                 _check_unknown(words)
                 passed.setdefault("of unknown words", []).append(number)
