@@ -44,6 +44,7 @@ def test_what_is_damaged_below_can_be_read(tmp_path, kind):
         ("obj", "f 1 2 3", "f 1 2 4", r"`faces` must be in \[0, 3\), got 3"),
         ("obj", "f 1 2 3", "f 1 2 0", "vertices count from 1, and 0 is none"),
         ("obj", "f 1 2 3", "f 1 2 3\nf 385714285", r"`faces` must be in \[0, 3\), got 385714284"),
+        ("obj", GOOD["obj"], "v 0.14 -1", "line 1 is broken: 'v 0.14 -1'.* may be cut short"),
         ("obj", "f 1 2 3", "f 1 2", "a face must have at least 3 corners, got one with 2"),
         ("obj", "f 1 2 3", f"f 1 2 {10**20}", "line 4 is broken: .* more than 64 bits"),
         ("obj", "f 1 2 3", "f 1 2 1_0", "line 4 is broken: .*'1_0' is no integer"),
