@@ -74,13 +74,14 @@ def surface(points: Any, faces: Any) -> TriangleMesh:
             return TriangleMesh(points, table)
         faces = Polygons.of(table)
     corners, sizes = faces
-    proper = sizes >= 3
+    points, proper = as_array("points", points), sizes >= 3
     if proper.any() and not proper.all():
+        check_indices("faces", corners, len(points))  # those left out tell of damage as well
         told = f"{quantity((~proper).sum(), 'face')} of fewer than 3 corners"
         first = f"the first being face {proper.argmin()}, counted from 0"
         warn(f"passed over {told}, {first}", IgnoredContentWarning)
         corners, sizes = corners[np.repeat(proper, sizes)], sizes[proper]
-    points, corners = _without_unused_nan(as_array("points", points), corners)
+    points, corners = _without_unused_nan(points, corners)
     if (sizes == 3).all():
         return TriangleMesh(points, corners.reshape(-1, 3))
     points = check_points("points", points)

@@ -78,6 +78,17 @@ def set_in(*keys, value):
     return change
 
 
+def renamed(key, *to):
+    """Damage the name of a property, or leave it out."""
+
+    def change(tree):
+        assert key in tree
+        value = tree.pop(key)
+        tree.update(dict.fromkeys(to, value))
+
+    return change
+
+
 def deepen(tree):
     tree["nodes"] = [{"children": [i + 1]} for i in range(2_000)] + [{"mesh": 0}]
     tree["scenes"], tree["scene"] = [{"nodes": [0]}], 0
@@ -127,6 +138,11 @@ def compress_quietly(tree):
         (set_in("nodes", 0, "children", value=[0]), "node 0 stands in the scene twice"),
         (set_in("nodes", 0, "matrix", value=[1.0] * 16), "the last row of a matrix must be"),
         (set_in("nodes", 0, "rotation", value=[0, 0, 0, 0]), "not a whole glTF file"),
+        (renamed("scenes", "sceles"), "'sceles' is no property of glTF here"),
+        (renamed("scene", "scine"), "'scine' is no property of glTF here"),
+        (renamed("meshes", "meches"), "'meches' is no property of glTF here"),
+        (renamed("scenes"), "there is no 0 among 0"),
+        (set_in("extensionsRequire", value=["EXT_of_somebody"]), "'extensionsRequire' is no"),
         (set_in("nodes", 0, "mesl", value=0), "'mesl' is no property of glTF here"),
         (set_in("accessors", 0, "byteOffsft", value=0), "'byteOffsft' is no property"),
         (set_in("meshes", 0, "primitives", 0, "indicds", value=0), "'indicds' is no property"),

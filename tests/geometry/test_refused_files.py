@@ -43,6 +43,8 @@ def test_what_is_damaged_below_can_be_read(tmp_path, kind):
         ("obj", "v 0 0 0\n", "v 0 0 0 1 1\n", "perhaps 4, 6 or 7, not 5"),
         ("obj", "f 1 2 3", "f 1 2 4", r"`faces` must be in \[0, 3\), got 3"),
         ("obj", "f 1 2 3", "f 1 2 0", "vertices count from 1, and 0 is none"),
+        ("obj", "f 1 2 3", "f 1 2 3\nf 385714285", r"`faces` must be in \[0, 3\), got 385714284"),
+        ("obj", GOOD["obj"], "v 0.14 -1", "line 1 is broken: 'v 0.14 -1'.* may be cut short"),
         ("obj", "f 1 2 3", "f 1 2", "a face must have at least 3 corners, got one with 2"),
         ("obj", "f 1 2 3", f"f 1 2 {10**20}", "line 4 is broken: .* more than 64 bits"),
         ("obj", "f 1 2 3", "f 1 2 1_0", "line 4 is broken: .*'1_0' is no integer"),
@@ -176,6 +178,22 @@ def test_arrays_without_points_are_refused(tmp_path):
     np.save(tmp_path / "a.npy", SQUARE)
     (tmp_path / "a.npy").rename(path)
     with pytest.raises(InvalidFileError, match=r"npz .*it begins with .*, not with b'PK'"):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda data: data.replace(b"vertex 42", b"vertex 43"),  # what is left is 80 rows as well
+        lambda data: data[: -7 * 13] + bytes(7),  # zeros where the last seven were
+        lambda data: data[: -9 * 13] + bytes(2) + data[-7 * 13 :],
+    ],
+)
+def test_binary_faces_without_corners_are_damage(tmp_path, change):
+    path = tmp_path / "a.ply"
+    write(sphere(subdivisions=1).geometry, path)
+    path.write_bytes(change(path.read_bytes()))
+    with pytest.raises(InvalidFileError, match=r"holds \d faces without corners, the first"):
         read(path)
 
 

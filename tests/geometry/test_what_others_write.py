@@ -198,6 +198,13 @@ def with_own_words():
     return file
 
 
+def with_word(word):
+    """A property of the file that is like another, which is there as well, or none of shapes."""
+    file = plain()
+    file.tree[word] = []
+    return file
+
+
 def with_looks():
     file = plain()
     names = ["KHR_materials_unlit", "KHR_texture_transform", "KHR_xmp_json_ld"]
@@ -224,6 +231,8 @@ def with_looks():
         (lambda: without("scene"), ""),
         (lambda: without("scene", "scenes"), ""),
         (lambda: without("scene", "scenes", "nodes"), ""),
+        (lambda: with_word("scenery"), "passed over the unknown property 'scenery'"),
+        (lambda: with_word("textures"), ""),
         (padded_views, ""),
         (with_looks, ""),
         (default_scene, "1 surface that no node shows"),

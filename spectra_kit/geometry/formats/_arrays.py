@@ -50,6 +50,15 @@ def position(columns: list[str], width: int) -> list[float]:
     return [real(column.strip()) for column in columns[:3]]
 
 
+def check_corners(faces: Polygons) -> None:
+    """Refuse binary faces without corners: zeros that a disk left, or rows that begin too late."""
+    if not faces.sizes.all():
+        raise InvalidInputError(
+            f"holds {quantity((faces.sizes == 0).sum(), 'face')} without corners, the first being"
+            f" face {faces.sizes.argmin()}, counted from 0; the file may be damaged"
+        )
+
+
 def check_rest(rest: bytes, is_row: bool) -> None:
     """Tell of bytes behind the announced end of a file; refuse what is long or like more rows."""
     if not rest.strip(b"\0\x1a \t\r\n"):

@@ -11,6 +11,7 @@ import base64
 import json
 from collections import Counter
 from collections.abc import Iterator
+from collections.abc import Set as AbstractSet
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,9 @@ HARMLESS = (
 # What may stand in an object: a word like one of these is that, damaged, which perhaps has a
 # default; other words are somebody's own.
 COMMON = {"name", "extensions", "extras"}
+TREE = {"scene", "scenes", "nodes", "meshes", "extensionsRequired"}  # choose what is shown
+AROUND = {"asset", "accessors", "bufferViews", "buffers", "cameras", "animations", "skins"}
+AROUND |= {"materials", "textures", "images", "samplers", "extensionsUsed", "extensions", "extras"}
 NODE = COMMON | {"camera", "children", "skin", "matrix", "mesh", "weights"}
 NODE |= {"rotation", "scale", "translation"}
 PRIMITIVE = COMMON | {"attributes", "indices", "material", "mode", "targets"}
@@ -128,6 +132,7 @@ def _split(data: bytes, passed: Counter[str]) -> tuple[dict[str, Any], memoryvie
 def _check_readable(tree: dict[str, Any]) -> None:
     """Refuse another version of the format, and extensions that would change the geometry."""
     version = str(tree.get("asset", {}).get("version", "2.0"))
+    _known(tree, TREE - tree.keys(), TREE | AROUND)
     if version.split(".")[0] != "2":
         raise InvalidInputError(f"the version must be 2, got {version[:20]!r}")
     required = tree.get("extensionsRequired", [])
@@ -222,8 +227,8 @@ def _parts(
     """
     meshes = tree.get("meshes", [])
     nodes = tree.get("nodes", [])
-    if "scenes" in tree:
-        roots = _item(tree["scenes"], tree.get("scene", 0)).get("nodes", [])
+    if {"scene", "scenes"} & tree.keys():
+        roots = _item(tree.get("scenes", []), tree.get("scene", 0)).get("nodes", [])
     else:  # a library of parts: all of them, or where no node moves them, as they are
         nodes = nodes or [{"mesh": i} for i in range(len(meshes))]
         children = {child for node in nodes for child in node.get("children", [])}
@@ -404,9 +409,14 @@ def _item(items: Any, index: Any) -> Any:
     return items[index]
 
 
-def _known(found: dict[str, Any], keys: set[str]) -> dict[str, Any]:
-    """Return an object of the JSON, if all its words are of the format, or unlike any of these."""
-    for word in found.keys() - keys:
+def _known(
+    found: dict[str, Any], keys: set[str], others: AbstractSet[str] = frozenset()
+) -> dict[str, Any]:
+    """Return an object of the JSON, if no word that is not of the format may be one, damaged.
+
+    That is one of `keys`; `others` are of the format and have no say in what is read.
+    """
+    for word in found.keys() - keys - others:
         if get_close_matches(word, keys, 1, 0.5):
             raise InvalidInputError(
                 f"{word[:40]!r} is no property of glTF here, known are"

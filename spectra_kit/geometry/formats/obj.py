@@ -122,11 +122,12 @@ def line_by_line(text: bytes) -> Arrays:
 def _positions(rows: list[list[float]], first: dict[int, tuple[int, list[str]]]) -> Floats:
     """Return x, y, z; a weight of 1 or a colour may follow, and anything that follows in each row.
 
-    `first` is the first line of each number of columns; -4 where a weight is another.
+    One row alone of another length may be cut short. `first` is the first line of each number of
+    columns; -4 where a weight is another.
     """
     odd = sorted(first.keys() - {3, 4, 6, 7})
     columns = {abs(width) for width in first}
-    if odd and (columns in ({0}, {1}) or len(columns) > 1):
+    if odd and (columns in ({0}, {1}) or len(columns) > 1 or len(rows) == 1):
         number, words = first[odd[0]]
         problem = (
             f"the weight of a vertex must be 1, not {words[4]}"

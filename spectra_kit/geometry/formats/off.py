@@ -15,6 +15,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.formats._arrays import (
     Arrays,
     broken_line,
+    check_corners,
     check_rest,
     position,
     real,
@@ -235,7 +236,9 @@ def _binary(body: bytes, width: int, *others: int) -> Arrays:
             raise InvalidInputError(problem)
     rest = whole_numbers[end : end + 1]
     check_rest(body[4 * end :], bool(rest) and 3 <= rest[0] <= len(whole_numbers) - end - 2)
-    return points[:, :3], Polygons.of(polygons) if polygons else None
+    faces = Polygons.of(polygons)
+    check_corners(faces)
+    return points[:, :3], faces if polygons else None
 
 
 def write(mesh: TriangleMesh, path: Path) -> None:

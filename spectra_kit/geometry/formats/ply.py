@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import quantity, warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
-from spectra_kit.geometry.formats._arrays import Arrays, check_rest, real, whole
+from spectra_kit.geometry.formats._arrays import Arrays, check_corners, check_rest, real, whole
 from spectra_kit.geometry.formats._text import Lines, are_laid_out, numbers, text_of
 from spectra_kit.geometry.polygons import Polygons
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
@@ -62,6 +62,8 @@ def read(path: Path) -> Arrays:
     except InvalidInputError as error:  # who wants the points alone need not know
         faces = error
     if lines is None:
+        if isinstance(faces, Polygons):
+            check_corners(faces)
         check_rest(body[offset:], _is_part(elements, body[offset:], faces))
     elif len(body) > offset:
         raise InvalidInputError(
