@@ -17,6 +17,7 @@ _WORK = 2**16  # points times counts: a tenth of a second, where smoothing takes
 _FEW = 10_000  # points up to which any operator is counted on
 _GIGABYTES = 8.0  # of a factor, at most
 _TRUST = 3  # times too low that estimates may be, as solvers say of themselves
+_WIDER = (1, 10, 100)  # times that, to look for what holds before a gap is all that is known
 _WEAK = 1e-3  # of the diagonal entries at its ends: an edge that coarse levels may not see as weak
 _DECADES = 6  # that masses span where triangles are of one kind
 
@@ -74,21 +75,26 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
     gaps = np.flatnonzero(claims > np.append(-np.inf, values[:-1]))
     some = gaps if counts < k else np.arange(k)
     for j in some[np.unique(np.linspace(0, len(some) - 1, counts).round().astype(int))[::-1]]:
-        if claims[j] <= 0 or refuted[j]:
+        if refuted[j]:
             continue
-        A = sparse.csr_array(laplacian.stiffness - claims[j] * sparse.diags_array(laplacian.mass))
-        try:
-            factor = SparseLDL(A, definite=False, elimination=shared)
-        except InvalidInputError:  # a zero pivot: this shift is as good as an eigenvalue
-            continue
-        shared, inertia, off = factor.elimination, factor.inertia, 0.0
-        if inertia.negative > j:  # what refutes must be no rounding
-            off = factor.backward_error(laplacian.mass)
-            below = np.arange(k) < inertia.negative
-            refuted |= below & (claims > claims[j] + off)
-            refuted[j] = claims[j] + off < values[j]
-        floors.append(claims[j] - off)
-        numbers.append(inertia.negative + inertia.zero)
+        for shift in values[j] - np.array(_WIDER) * (values[j] - claims[j]):
+            if shift <= 0:
+                break
+            A = sparse.csr_array(laplacian.stiffness - shift * sparse.diags_array(laplacian.mass))
+            try:
+                factor = SparseLDL(A, definite=False, elimination=shared)
+            except InvalidInputError:  # a zero pivot: this shift is as good as an eigenvalue
+                break
+            shared, inertia, off = factor.elimination, factor.inertia, 0.0
+            if inertia.negative > j:  # what refutes must be no rounding
+                off = factor.backward_error(laplacian.mass)
+                below = np.arange(k) < inertia.negative
+                refuted |= below & (claims > shift + off)
+                refuted[j] |= shift + off < values[j]
+            floors.append(shift - off)
+            numbers.append(inertia.negative + inertia.zero)
+            if inertia.negative <= j:
+                break
     if not refuted.any():
         return errors
     below = np.array(numbers)[:, None] <= np.arange(k)  # none of these is lower than that floor

@@ -131,12 +131,24 @@ def climb(
             residual = smoothing.residual(values, X)
             least = np.maximum(values, laplacian.eigenvalue_spacing)[:k]
             falls = np.maximum(before[:k] - values[:k], 0.0)
-            found = errors = excess(smoothing, values, X, residual, falls) / least
+            off = excess(smoothing, values, X, residual, falls)
+            found, errors = off / least, _in_order(values[:k], off) / least
             clock.stage("smooth")
             gained += float((falls / least).mean())
             if errors.mean() <= (target / _SURE if finest else max(goal, _LEFT * gained)):
                 break
     return Climbed(values, X, errors, step)
+
+
+def _in_order(values: Floats, errors: Floats) -> Floats:
+    """Return the errors of ascending values that leave eigenvalues in ascending order.
+
+    Of modes closer than their errors, the best are mixtures that hold as much of the lowest
+    eigenvalue as the worst do: what these are too high by is told of the first.
+    """
+    left = values - errors
+    sorts = np.sort(left)
+    return np.where(sorts == left, errors, values - sorts)
 
 
 def _rotated(level: Smoothing, smooth: Any, values: Floats, X: Any, k: int) -> tuple[Floats, Any]:

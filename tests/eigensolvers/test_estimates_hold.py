@@ -11,6 +11,7 @@ from conftest import whole_spectrum
 from scipy import sparse
 
 import spectra_kit as sk
+from spectra_kit.eigensolvers.audit import counted_errors
 from spectra_kit.errors import DoubtfulSpectrumWarning
 from spectra_kit.geometry import TriangleMesh, sphere
 
@@ -143,6 +144,21 @@ def test_no_error_is_ten_times_its_estimate(hard, solver, k) -> None:
         assert (off <= factor * certificate.errors + 10 * rounding).all()
     if certificate.level == "verified":
         assert (off * unit <= certificate.count.radius + rounding * unit).all()
+
+
+@pytest.mark.parametrize("too_low", [1, 5, 50])
+def test_counts_raise_estimates_by_little_more_than_they_lack(too_low) -> None:
+    """Values that are too high, estimates that are as much or less: never beyond 100 times it."""
+    mesh = sphere(subdivisions=3).geometry
+    ball = sk.robust_laplacian(mesh.with_points(mesh.points * [1.0, 1.3, 1.7]))
+    truth, k = whole_spectrum(ball)[0], 20
+    off = 1e-4 * np.diff(truth[: k + 1]).min() * np.linspace(0.5, 1, k)
+    off[0] = 0.0
+    errors = counted_errors(ball, truth[:k] + off, off / too_low)
+    assert (errors >= off).all()
+    assert (errors <= 100 * off)[1:].all()
+    if too_low == 1:
+        np.testing.assert_array_equal(errors, off)
 
 
 def test_a_missing_mode_is_told_where_smoothing_cannot_find_it() -> None:

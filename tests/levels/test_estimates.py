@@ -9,7 +9,7 @@ from conftest import creature
 import spectra_kit as sk
 from spectra_kit.geometry import sphere, torus
 from spectra_kit.levels import coarse_pairs
-from spectra_kit.levels.cascade import climb, nested
+from spectra_kit.levels.cascade import _in_order, climb, nested
 from spectra_kit.levels.estimates import excess
 from spectra_kit.levels.smoothing import Smoothing, on_device
 
@@ -112,3 +112,14 @@ def test_a_true_mode_is_not_off(animal, animal_spectrum):
     residual = smoothing.residual(exact.eigenvalues, exact.eigenvectors)
     high = excess(smoothing, exact.eigenvalues, exact.eigenvectors, residual, np.zeros(few.n))
     assert (high <= 1e-10 * exact.eigenvalues[-1]).all()
+
+
+def test_modes_that_change_places_are_told_in_the_order_of_their_eigenvalues():
+    """Of orthogonal parts, each with one error: the eigenvalues, ascending."""
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        exact, off = np.sort(rng.random(12)), 10 ** rng.uniform(-9, 0, 12)
+        order = np.argsort(exact + off)
+        values = (exact + off)[order]
+        np.testing.assert_allclose(values - _in_order(values, off[order]), exact, atol=1e-14)
+    np.testing.assert_array_equal(_in_order(exact, exact * 1e-20), exact * 1e-20)
