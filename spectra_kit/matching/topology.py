@@ -41,7 +41,7 @@ def topology_of(placed: Placed) -> Topology:
     met = np.bincount(border.ravel(), minlength=n)
     if uses.max() > 2 or not np.isin(met, (0, 2)).all():
         return Topology(None, rim)
-    euler = len(np.unique(faces)) - len(edges) + len(faces) + np.count_nonzero(around)
+    euler = len(np.unique(faces)) - len(edges) + len(faces) + int(np.count_nonzero(around))
     return Topology((2 - euler) // 2 if euler % 2 == 0 else None, rim)
 
 
