@@ -28,7 +28,7 @@ _CLUSTERED = 1.5  # times chance: bodies and animals have less, round shapes mor
 _NOTHING_SHARED = 1.0  # squared difference per mode: half of that of maps at random
 _ALIKE = 2.0  # a map that is right scores better than one that shares nothing with it by more
 _GOOD = 0.1  # what scores better is right by itself, as far as can be seen
-_OPEN = 0.5  # length of a border at unit area: a round hole of 2 % of the area has it
+_OPEN = 0.5  # length of a rim at unit area: a round hole of 2 % of the area has it
 
 
 @checked
@@ -105,7 +105,8 @@ class Match(Rebuilt):
     genera : (int, int) or None, optional
         Handles of source and target, holes being closed. None if one is a cloud, or not manifold.
     rims : (float, float), default (0.0, 0.0)
-        Lengths of their borders at unit area.
+        How long the rim of one round hole is, at unit area, that leaves out as much as all holes of
+        source and target do.
     landmark_distances : ndarray of shape (l,), optional
         How far the map by itself leads from each landmark, at unit area; None without landmarks.
     lost_from : float

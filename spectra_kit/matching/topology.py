@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from spectra_kit._types import Floats, Ints
+from spectra_kit._types import Floats
 from spectra_kit.matching.lengths import lengths_of
 from spectra_kit.matching.placed import Placed
 
@@ -17,14 +17,16 @@ class Topology(NamedTuple):
     """Of one connected surface at unit area."""
 
     genus: int | None  # handles, once its holes are closed; None of a cloud, or if not a surface
-    rim: float  # length of its border: 0 of a closed surface, and of a cloud
+    rim: float  # around its holes: 0 of a closed surface, and of a cloud
 
 
 def topology_of(placed: Placed) -> Topology:
-    """Return the genus and the length of the border of a mesh.
+    """Return the genus and the rim of a mesh.
 
     ``2 - 2 g`` is the number of vertices less that of edges and more that of triangles, once each
-    loop of the border is closed by a disc: holes of a scan are no handles.
+    loop of the border is closed by a disc: holes of a scan are no handles. The rim is as long as
+    that of the one round hole that leaves out as much as round ones of those lengths do together:
+    its square is the sum of theirs, as many small holes are no cut.
     """
     faces, n = placed.oriented.faces, len(placed.points)
     if (placed.oriented.weights != 1).any():  # triangles of a cloud, or images of a dense surface
@@ -32,11 +34,14 @@ def topology_of(placed: Placed) -> Topology:
     sides = np.sort(np.concatenate([faces[:, [c - 1, c]] for c in range(3)]), axis=1)
     edges, uses = np.unique(sides, axis=0, return_counts=True)
     border = edges[uses == 1]
-    rim = float(lengths_of(placed.points, border).sum())
-    loops = _loops(border, n)
-    if uses.max() > 2 or loops is None:
+    graph = sparse.coo_array((np.ones(len(border)), border.T), shape=(n, n))
+    hole = connected_components(graph, directed=False)[1][border[:, 0]]
+    around = np.bincount(hole, lengths_of(placed.points, border), minlength=1)
+    rim = float(np.linalg.norm(around))
+    met = np.bincount(border.ravel(), minlength=n)
+    if uses.max() > 2 or not np.isin(met, (0, 2)).all():
         return Topology(None, rim)
-    euler = len(np.unique(faces)) - len(edges) + len(faces) + loops
+    euler = len(np.unique(faces)) - len(edges) + len(faces) + int(np.count_nonzero(around))
     return Topology((2 - euler) // 2 if euler % 2 == 0 else None, rim)
 
 
@@ -48,15 +53,6 @@ def compared(source: Placed, target: Placed) -> dict[str, Any]:
         "genera": (one.genus, other.genus) if known else None,
         "rims": (one.rim, other.rim),
     }
-
-
-def _loops(border: Ints, n: int) -> int | None:
-    """Return how many closed curves edges make; None if some of them branch or end."""
-    met = np.bincount(border.ravel(), minlength=n)
-    if not np.isin(met, (0, 2)).all():
-        return None
-    graph = sparse.coo_array((np.ones(len(border)), border.T), shape=(n, n))
-    return int(connected_components(graph, directed=False)[0] - (met == 0).sum())
 
 
 def clustered(eigenvalues: Floats) -> float:
