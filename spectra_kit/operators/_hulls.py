@@ -26,7 +26,7 @@ def hulls(x: Floats, y: Floats, names: Ints, links: Ints, sizes: Ints, closed: B
     whether the origin is inside. Else it is the corner before the first.
     """
     k = x.shape[1]
-    angle, order = np.empty(k), np.empty(k, np.int64)
+    angle = np.empty(k)
     hull = np.empty(k + 1, np.int64)
     for row in range(len(x)):
         for j in range(k):
@@ -34,11 +34,7 @@ def hulls(x: Floats, y: Floats, names: Ints, links: Ints, sizes: Ints, closed: B
             width = abs(x[row, j]) + abs(y[row, j])
             steep = y[row, j] / width if width > 0 else 0.0
             angle[j] = steep if x[row, j] >= 0 else 2 - steep
-            at = j  # equal ones stay in order
-            while at > 0 and angle[order[at - 1]] > angle[j]:
-                order[at] = order[at - 1]
-                at -= 1
-            order[at] = j
+        order = np.argsort(angle, kind="mergesort")  # equal ones stay in order
         size, closed[row] = _hull(x[row], y[row], angle, order, hull)
         sizes[row] = size if size > 1 else 0
         for c in range(sizes[row]):

@@ -5,7 +5,7 @@ import pytest
 import robust_laplacian as library
 from conftest import ball, refused
 from scipy import sparse
-from scipy.spatial import Delaunay
+from scipy.spatial import ConvexHull, Delaunay
 
 from spectra_kit import (
     ConvergenceError,
@@ -21,6 +21,7 @@ from spectra_kit import (
 from spectra_kit.errors import SplitSurfaceWarning
 from spectra_kit.geometry import rectangle, sphere, torus
 from spectra_kit.operators import _gluing, delaunay_laplacian, oriented_triangles
+from spectra_kit.operators._hulls import hulls
 
 
 def square(n: int, seed: int = 0) -> np.ndarray:
@@ -196,6 +197,22 @@ def test_points_along_lines_are_one_surface(name: str) -> None:
     assert built.area == pytest.approx(area, rel=0.03)
     found = eigensolve(built, 6).eigenvalues[1:]
     assert found == pytest.approx(np.array(truth, dtype=float), rel=0.05, abs=1e-6)
+
+
+@pytest.mark.parametrize("k", [3, 30, 960])
+def test_hulls_around_the_origin_are_those_of_qhull(k: int) -> None:
+    rng = np.random.default_rng(k)
+    x, y = rng.standard_normal((2, 50, k)) + np.linspace(0, 4, 50)[:, None]  # half of them open
+    x[:, 2::3], y[:, 2::3] = x[:, :-2:3] / 2, y[:, :-2:3] / 2  # of one direction
+    names = np.tile(np.arange(k, dtype=np.int32), (50, 1))
+    links, sizes, closed = np.empty_like(names), np.empty(50, np.int32), np.empty(50, bool)
+    hulls(x, y, names, links, sizes, closed)
+    for row in range(50):
+        corners = ConvexHull(np.vstack([np.c_[x[row], y[row]], [0, 0]])).vertices  # k: the origin
+        assert closed[row] == (k not in corners)
+        start = np.flatnonzero(corners == k if k in corners else corners == links[row, 0])[0]
+        around = np.roll(corners, -start)[int(k in corners) :]
+        assert list(links[row, : sizes[row]]) == list(around)
 
 
 def test_parts_that_look_like_lines_of_one_surface_are_told() -> None:
