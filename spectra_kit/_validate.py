@@ -88,6 +88,8 @@ def _check_three_columns(name: str, array: NDArray[np.generic], rows: str) -> No
         hint = "did you pass its transpose?" if turned else ""
         if array.ndim == 2 and not turned and len(array):
             hint = _columns_advice(name, array.shape[1], rows)
+        if array.ndim == 3 and array.shape[2] > 3 and rows == "n":  # an image, of voxels
+            hint = f"of an image, pyvista.wrap(1.0 * {name}).contour([0.5]) is the surface"
         raise InvalidInputError(name, f"have shape ({rows}, 3)", array.shape, advice=hint)
 
 
