@@ -244,7 +244,7 @@ def test_names_of_files_may_be_no_text(scans, store, tmp_path):
 
 
 def test_rows_without_all_columns_have_blanks(store, tmp_path):
-    """Of more parts there are fewer eigenvalues outside the kernel; manifests have columns of their own."""
+    """Shapes of more parts have fewer values outside the kernel; manifests have their columns."""
     ball = sk.geometry.sphere(subdivisions=1).geometry
     parts = [ball.points, ball.points + [3.0, 0, 0]], [ball.faces, ball.faces + ball.n]
     write(ball, tmp_path / "one.off")
