@@ -120,6 +120,8 @@ def check_indices(name: str, values: ArrayLike, n: int) -> Ints:
     if array.size and (array.min() < 0 or array.max() >= n):
         worst = int(array.min()) if array.min() < 0 else int(array.max())
         hint = "indices count from 0" if array.min() >= 1 and array.max() == n else ""
+        if name == "point_map" and worst == -1:
+            hint = "leave out the points without a partner that -1 may mark"
         raise InvalidInputError(name, f"be in [0, {n})", worst, advice=hint)
     return np.asarray(array, dtype=np.int64, order="C")
 
