@@ -88,6 +88,8 @@ def _check_three_columns(name: str, array: NDArray[np.generic], rows: str) -> No
         hint = "did you pass its transpose?" if turned else ""
         if array.ndim == 2 and not turned and len(array):
             hint = _columns_advice(name, array.shape[1], rows)
+        if array.ndim == 3 and array.shape[2] > 3 and rows == "n":  # an image, of voxels
+            hint = f"of an image, pyvista.wrap(1.0 * {name}).contour([0.5]) is the surface"
         raise InvalidInputError(name, f"have shape ({rows}, 3)", array.shape, advice=hint)
 
 
@@ -118,6 +120,8 @@ def check_indices(name: str, values: ArrayLike, n: int) -> Ints:
     if array.size and (array.min() < 0 or array.max() >= n):
         worst = int(array.min()) if array.min() < 0 else int(array.max())
         hint = "indices count from 0" if array.min() >= 1 and array.max() == n else ""
+        if name == "point_map" and worst == -1:
+            hint = "leave out the points without a partner that -1 may mark"
         raise InvalidInputError(name, f"be in [0, {n})", worst, advice=hint)
     return np.asarray(array, dtype=np.int64, order="C")
 

@@ -15,6 +15,7 @@ from spectra_kit._checked import checked
 from spectra_kit._fingerprint import facts_digest
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidFileError, InvalidInputError
+from spectra_kit.geometry.formats.foreign import advice_for
 from spectra_kit.geometry.io import READERS, is_readable
 from spectra_kit.store.files import MARK
 
@@ -167,10 +168,10 @@ def _inputs_of(source: str) -> Iterator[Input]:
     if path.suffix.lower() == ".csv":
         yield from _listed(path)
     elif path.is_dir():
-        yield from _some(source, _readable(_inside(path)), "hold meshes or clouds")
+        yield from _some(source, _inside(path), "hold meshes or clouds")
     elif any(sign in source for sign in _PATTERN) and not path.exists():
         matches = map(Path, glob.glob(source, recursive=True))
-        yield from _some(source, _readable(matches), "match meshes or clouds")
+        yield from _some(source, matches, "match meshes or clouds")
     else:
         yield Input(name=path.as_posix(), path=path)  # to read it will tell what is wrong with it
 
@@ -196,10 +197,14 @@ def _readable(paths: Iterable[Path]) -> list[Path]:
     return sorted(p for p in paths if is_readable(p) and (p.is_file() or not p.exists()))
 
 
-def _some(source: str, paths: Sequence[Path], expected: str) -> Iterator[Input]:
+def _some(source: str, found: Iterable[Path], expected: str) -> Iterator[Input]:
+    found = list(found)
+    paths = _readable(found)
     if not paths:
         known = ", ".join(sorted(READERS))
-        raise InvalidInputError(repr(source), f"{expected} ({known})", "none")
+        other = min((path for path in found if path.suffix), default=None)
+        advice = f"of {other.name!r}: {advice_for(other)}" if other else ""
+        raise InvalidInputError(repr(source), f"{expected} ({known})", "none", advice=advice)
     yield from (Input(name=path.as_posix(), path=path) for path in paths)
 
 

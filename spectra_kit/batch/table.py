@@ -112,7 +112,8 @@ def write(
     ):
         writer = csv.writer(file)
         writer.writerow(map(_cell, columns))
-        writer.writerows([_cell(row[name]) for name in columns] for row in rows)
+        # Shapes of more parts have fewer columns of ShapeDNA, and manifests have their own.
+        writer.writerows([_cell(row.get(name, "")) for name in columns] for row in rows)
 
 
 def _cell(value: object) -> object:

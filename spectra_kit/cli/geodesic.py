@@ -183,6 +183,7 @@ def _draw(
     compared: list[Compared],
 ) -> None:
     folder, name, size = asked.output, stem(asked.file), f"{geometry.n:,} points"
+    method = "heat method" if field.heat else "exact distances"
     mesh = cast(TriangleMesh, geometry)  # where there are points of faces
     places = [s.position(mesh) if isinstance(s, FacePoint) else mesh.points[s] for s in sources]
     plot_distance(
@@ -192,7 +193,7 @@ def _draw(
         sources=np.array(places),
         spacing=asked.spacing,
         view=View(asked.upwards, asked.turn),
-        page=Page(name, f"{size} \N{MIDDLE DOT} heat method", asked.dpi),
+        page=Page(name, f"{size} \N{MIDDLE DOT} {method}", asked.dpi),
     )
     if compared:
         heading = f"{name}: the Poisson step of the heat method, {size}"

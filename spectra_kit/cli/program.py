@@ -240,8 +240,8 @@ class _Heat(options.Command):
     method: Literal["auto", "direct", "iterative", "projected", "plain"] = "auto"
     """of the linear systems: direct, by a factor; or by conjugate gradients with incomplete
     Cholesky: plain, or with a coarse space of modes added (iterative) or projected out (projected)
-    (default: auto, none but exact distances on meshes of at most 2,000 vertices, and direct where
-    factors fit into memory)"""
+    (default: auto, which solves none on meshes of at most 2,000 vertices, where exact distances are
+    quick, and is direct where factors fit into memory)"""
     poisson_rtol: float = 1e-8
     """relative residual at which iterations stop"""
     time_coefficient: float = 1.0
@@ -275,7 +275,7 @@ class Geodesic(options.OneFile, options.Spared, _Sources, _Heat, options.FolderD
     }
 
     k: Count | None = None
-    """number of modes (default: 24 beside those of eigenvalue 0, to compare 96)"""
+    """number of modes (default: 24 and those of eigenvalue 0; 96 with --compare)"""
     solver: SolverName | None = None
     """what solves for modes (default: none)"""
     output: Output = Path("geodesic")
@@ -322,9 +322,7 @@ class Similar(_Searched, options.Solver, options.Turned, options.Resolution):
 class _Labelled(options.OneFile):
     group = "input"
 
-    labeller: Annotated[
-        Path, Parameter(name="LABELLER", help="what has learned to, of learning.save_labeller")
-    ]
+    labeller: Annotated[Path, Parameter(name="LABELLER", help="what learning.save_labeller wrote")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -489,6 +487,7 @@ class Store(_Looked):
     keys = "store, entries, bytes, shapes, damaged, removed"
     run = "batch.store"
     operands = "ACTION STORE [options]"
+    notes: ClassVar[Mapping[str, str]] = {}
 
     remove: bool = False
     """of verify: take out what is damaged, to be computed again"""

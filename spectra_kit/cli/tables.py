@@ -166,9 +166,9 @@ def comparison_verdict(comparison: Comparison) -> str:
         return "no mode outside the kernel to compare"
     far, worst = int((off > DOUBTFUL).sum()), int(np.nanargmax(off))
     change = comparison.predicted_eigenvalues[worst] / comparison.eigenvalues[worst] - 1
-    which = f"mode {worst} by {100 * change:+,.{0 if far else 2}f} %"
+    which = f"mode {worst}, by {100 * change:+,.{0 if far else 2}f} %"
     if not far:
-        return f"no eigenvalue is farther off than that of {which}"
+        return f"farthest off is the eigenvalue of {which}"
     if comparison.match[worst] != worst:
         which += f" (it resembles mode {comparison.match[worst]} of the other side most)"
     return (

@@ -210,7 +210,9 @@ def write(geometry: Geometry, path: str | os.PathLike[str]) -> None:
     """
     path = Path(path)
     writers = MESH_WRITERS if isinstance(geometry, TriangleMesh) else CLOUD_WRITERS
-    writer = _lookup(writers, path, f"write a {type(geometry).__name__} to")
+    vtk = "spectra_kit.interop.to_pyvista(geometry).save(path) does"
+    advice = vtk * (path.suffix.lower() in (".vtk", ".vtp"))
+    writer = _lookup(writers, path, f"write a {type(geometry).__name__} to", advice)
     with atomic_path(path) as part:
         writer(geometry, part)
 
@@ -225,8 +227,10 @@ def _lookup(table: dict[str, Any], path: Path, action: str, advice: str = "") ->
         return table[format_of(path) if table is READERS else path.suffix.lower()]
     except KeyError as error:
         known = f"known are {', '.join(sorted(table))}"
+        if table is READERS:
+            known += f", packed or not ({', '.join(PACKED)})"
         if advice:
-            known = f"{advice}; {known}, packed or not ({', '.join(PACKED)})"
+            known = f"{advice}; {known}"
         named = Path(path.stem).suffix * (path.suffix.lower() in PACKED) + path.suffix
         problem = InvalidInputError(f"cannot {action} the format {named!r}", advice=known)
         raise InvalidFileError(path, problem) from error

@@ -134,6 +134,9 @@ def test_sources_that_name_nothing_or_one_thing_twice(folder):
     for source, expected in (("empty", "hold meshes or clouds"), ("*.stl", "match meshes or cl")):
         with pytest.raises(ValueError, match=f"`'.*'` must {expected}"):
             find_inputs([source])
+    Path("empty/brain.gii").touch()  # of another format: by whom it is read
+    with pytest.raises(ValueError, match=r"got none; of 'brain\.gii': hand over nibabel\.load"):
+        find_inputs(["empty"])
     refused("sources", "name a file at least, got none", find_inputs, [])
     refused("sources", "have names of their own, got 1 several times", find_inputs,
             ["scans/a.ply", "scans/*.ply"])  # fmt: skip

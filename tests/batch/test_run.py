@@ -243,6 +243,24 @@ def test_names_of_files_may_be_no_text(scans, store, tmp_path):
     assert b"caf\xe9.ply" in (tmp_path / "table.csv").read_bytes()
 
 
+def test_rows_without_all_columns_have_blanks(store, tmp_path):
+    """Shapes of more parts have fewer values outside the kernel; manifests have their columns."""
+    ball = sk.geometry.sphere(subdivisions=1).geometry
+    parts = [ball.points, ball.points + [3.0, 0, 0]], [ball.faces, ball.faces + ball.n]
+    write(ball, tmp_path / "one.off")
+    write(sk.TriangleMesh(*map(np.vstack, parts)), tmp_path / "two.off")
+    for name, column in (("one", "age"), ("two", "sex")):
+        (tmp_path / f"{name}.csv").write_text(f"file,{column}\n{name}.off,7\n")
+    inputs = find_inputs([tmp_path / "one.csv", tmp_path / "two.csv"])
+    report = compute_all(inputs, store, Plan(k=6, descriptors=("dna",)))
+    write_table(tmp_path / "table.csv", report)
+    one, two = csv.DictReader((tmp_path / "table.csv").read_text().splitlines())
+    assert (one["age"], one["sex"], two["age"], two["sex"]) == ("7", "", "", "7")
+    assert one["dna_5"]
+    assert two["dna_4"]
+    assert two["dna_5"] == ""
+
+
 def test_tables_of_other_columns_and_of_nothing(scans, store, tmp_path):
     one = Input(name="a", path=scans / "bumpy.ply", columns={"area": "3"})
     report = compute_all([one], store, PLAN)

@@ -87,7 +87,7 @@ def test_bad_predictions_are_announced(files, capsys, monkeypatch):
     change = 100 * (change / result["comparison"]["eigenvalues"][worst] - 1)
     assert result["verdict"].startswith(
         f"doubtful: {(off > 0.1).sum()} of 4 eigenvalues are off by more than 10%, that of mode"
-        f" {worst} by {change:+,.0f} %"
+        f" {worst}, by {change:+,.0f} %"
     )
     assert f"verdict: {result['verdict']}\n" in compared
     assert re.search(rf"^ *{worst}\*? .* {re.escape(f'{change:+.2g}')} %", compared, re.M)
@@ -184,7 +184,7 @@ def test_compare_measures_a_prediction(files, capsys):
     assert len(result["match"]) == 10
     assert result["span_dimension"] == 16  # six more modes were solved for
     assert result["open_from"] == 10  # so the end of the last cluster is known
-    assert told["verdict"].startswith("no eigenvalue is farther off than that of mode")
+    assert told["verdict"].startswith("farthest off is the eigenvalue of mode")
     assert told["predicted"]["verdict"] == told["reference"]["verdict"] == ""
 
 

@@ -262,7 +262,10 @@ def test_the_demo_draws_its_picture(tmp_path, monkeypatch, capsys):
     assert source == field.argmax()
     assert distances(folder)[source] == 0
 
-    def interrupted(*_, **__):
+    below = []
+
+    def interrupted(*_, page, **__):
+        below.append(page.subtitle)
         raise KeyboardInterrupt
 
     monkeypatch.setattr(geodesic, "plot_distance", interrupted)
@@ -271,6 +274,11 @@ def test_the_demo_draws_its_picture(tmp_path, monkeypatch, capsys):
     kept = "the numbers in other are whole, but not drawn: other/field.png"
     assert (out, err) == ("", f"{kept}\ninterrupted\n")
     assert set(os.listdir("other")) == FILES
+    assert main(["geodesic", "demo", "--points", "2500", "-o", "heat"]) == 130
+    assert below == [
+        "500 points \N{MIDDLE DOT} exact distances",
+        "2,500 points \N{MIDDLE DOT} heat method",
+    ]
 
 
 def test_solvers_are_compared(files, tmp_path, capsys):

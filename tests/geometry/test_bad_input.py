@@ -44,6 +44,12 @@ TRANSPOSED = "did you pass its transpose?"
         ),
         (np.zeros((3, 50)), "have shape (n, 3)", "(3, 50)", TRANSPOSED),
         (np.zeros((2, 5, 3)), "have shape (n, 3)", "(2, 5, 3)", ""),
+        (
+            np.zeros((9, 8, 7)),
+            "have shape (n, 3)",
+            "(9, 8, 7)",
+            "of an image, pyvista.wrap(1.0 * points).contour([0.5]) is the surface",
+        ),
         (np.zeros((4, 3), dtype=complex), "hold real numbers", "dtype complex128", ""),
         ([["a", "b", "c"]], "hold real numbers", "dtype <U1", ""),
         (
