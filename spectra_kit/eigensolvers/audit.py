@@ -16,8 +16,7 @@ from spectra_kit.operators.laplacian import Laplacian
 _WORK = 2**16  # points times counts: a tenth of a second, where smoothing takes some
 _FEW = 10_000  # points up to which any operator is counted on
 _GIGABYTES = 8.0  # of a factor, at most
-_TRUST = 3  # times too low that estimates may be, as solvers say of themselves
-_WIDER = (1, 10, 100)  # times that, to look for what holds before a gap is all that is known
+_TIMES = (3, 30, 300)  # as large as estimated: what solvers say of themselves, and what is tried
 _WEAK = 1e-3  # of the diagonal entries at its ends: an edge that coarse levels may not see as weak
 _DECADES = 6  # that masses span where triangles are of one kind
 
@@ -52,15 +51,17 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
     Returns
     -------
     ndarray of shape (k,)
-        The same, if no count refutes three times as much. Else each is at least as large as the
-        highest shift below which too few eigenvalues were counted leaves open.
+        The same, if no count refutes three times as much. Else as many times as counts allow; and
+        from the first on that no multiple explains, what the highest shift leaves open below which
+        few enough eigenvalues were counted.
 
     Notes
     -----
     Estimates know nothing of a mode that the columns lack. By Sylvester's law, the negative pivots
     of a factor of ``L - sigma M`` are as many as eigenvalues below sigma: if more than j lie below
-    ``values[j] - 3 errors[j]``, the estimate is wrong. Of many modes on many points, only some are
-    held against counts, evenly spread.
+    ``values[j] - 3 errors[j]``, the estimate is wrong; if j at most lie below ``values[j] - 30
+    errors[j]``, it is by ten times that at most. Of many modes on many points, only some are
+    held against counts, evenly spread, and speak for those below them.
     """
     n, k = laplacian.n, len(values)
     counts = min(k, _WORK // n)
@@ -68,36 +69,43 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
         if not is_hard(laplacian) or factor_gigabytes(n) > _GIGABYTES:
             return errors
         counts = max(counts, 2)
-    claims = values - _TRUST * errors - rounding(laplacian)
-    floors, numbers = [0.0], [0]  # below each floor, so many eigenvalues at most
-    refuted, shared = np.zeros(k, dtype=bool), None
+    off = rounding(laplacian)
+    claims = values - _TIMES[0] * errors - off
     # Above a mode that is missing, each gap has one more below it; within a cluster none tells.
-    gaps = np.flatnonzero(claims > np.append(-np.inf, values[:-1]))
-    some = gaps if counts < k else np.arange(k)
-    for j in some[np.unique(np.linspace(0, len(some) - 1, counts).round().astype(int))[::-1]]:
-        if refuted[j]:
-            continue
-        for shift in values[j] - np.array(_WIDER) * (values[j] - claims[j]):
+    some = np.arange(k)
+    if counts < k:
+        some = np.flatnonzero(claims > np.append(-np.inf, values[:-1]))
+    some = some[np.unique(np.linspace(0, len(some) - 1, counts).round().astype(int))]
+    floors, numbers = [0.0], [0]  # below each floor, so many eigenvalues at most
+    times, shared = np.ones(len(some)), None  # as large as estimated each may be
+    for i, j in enumerate(some):
+        refuted = False
+        for more in _TIMES if np.isfinite(times).all() else _TIMES[:1]:
+            shift = values[j] - more * errors[j] - off
             if shift <= 0:
+                times[i], refuted = more if more > _TIMES[0] else 1.0, False
                 break
             A = sparse.csr_array(laplacian.stiffness - shift * sparse.diags_array(laplacian.mass))
             try:
                 factor = SparseLDL(A, definite=False, elimination=shared)
             except InvalidInputError:  # a zero pivot: this shift is as good as an eigenvalue
-                break
-            shared, inertia, off = factor.elimination, factor.inertia, 0.0
-            if inertia.negative > j:  # what refutes must be no rounding
-                off = factor.backward_error(laplacian.mass)
-                below = np.arange(k) < inertia.negative
-                refuted |= below & (claims > shift + off)
-                refuted[j] |= shift + off < values[j]
-            floors.append(shift - off)
+                continue
+            shared, inertia = factor.elimination, factor.inertia
+            backward = factor.backward_error(laplacian.mass) if inertia.negative > j else 0.0
+            floors.append(shift - backward)
             numbers.append(inertia.negative + inertia.zero)
+            refuted = inertia.negative > j and shift + backward < values[j]  # by no rounding
             if inertia.negative <= j:
+                times[i] = more if more > _TIMES[0] else 1.0
                 break
-    if not refuted.any():
+        if refuted:
+            times[i] = np.inf
+    if (times == 1).all():
         return errors
+    missing = some[np.isinf(times)].min(initial=k)
+    sound = some[some < missing].max(initial=-1)  # up to here nothing is missing
+    own = np.minimum(np.searchsorted(some, np.arange(k)), len(some) - 1)
+    raised = errors * np.where(np.isfinite(times), times, 1.0)[own]
     below = np.array(numbers)[:, None] <= np.arange(k)  # none of these is lower than that floor
     lowest = np.where(below, np.array(floors)[:, None], 0.0).max(axis=0)
-    held = np.array(numbers)[np.array(numbers) <= refuted.argmax()]  # what is lower lacks nothing
-    return np.where(np.arange(k) < held.max(), errors, np.maximum(errors, values - lowest))
+    return np.where(np.arange(k) <= sound, raised, np.maximum(errors, values - lowest))

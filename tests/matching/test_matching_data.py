@@ -22,7 +22,7 @@ PAIRS = [
 
 
 # What is predicted of one body lacks its mode 95, which counts show.
-@pytest.mark.filterwarnings("ignore:target = 0.001 was not reached")
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 @pytest.mark.parametrize(("folder", "source", "target", "solver", "limit"), PAIRS)
 def test_real_shapes_are_not_flipped(folder, source, target, solver, limit) -> None:
     root = data_folder()
