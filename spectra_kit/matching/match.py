@@ -257,7 +257,7 @@ def told_of(found: Match) -> None:
     convincing = "a map in doubt" if found.convincing else "no convincing map"
     told = f"{convincing}: its confidence is {found.confidence:.2f}; what speaks against it: "
     if lost:
-        advice = "look at these landmarks: they may contradict each other, or be exchanged"
+        advice = "look there: the map may be wrong, or these contradict each other"
         warn(told + against, DoubtfulMatchWarning, advice=advice)
         return
     warn(
