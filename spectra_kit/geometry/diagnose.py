@@ -266,6 +266,7 @@ def _count_split_fans(mesh: TriangleMesh) -> int:
     by_edge = np.argsort(edge)
     shared = np.flatnonzero(np.diff(edge[by_edge]) == 0)
     one, other = by_edge[shared], by_edge[shared + 1]
+    del edge, by_edge, shared, following, is_upward  # as large as what comes now
     # Where two faces share an edge, their corners at each end of it belong to one fan.
     links = np.concatenate([low[one], high[one]]), np.concatenate([low[other], high[other]])
     graph = sparse.coo_array(

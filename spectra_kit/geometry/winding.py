@@ -86,6 +86,7 @@ def against_neighbours(sides: Sides) -> Bools:
     edges.setdiag(0)
     edges.eliminate_zeros()
     edges.data = 1 / edges.data
+    edges.indices, edges.indptr = (x.astype(np.int32) for x in (edges.indices, edges.indptr))
     chain = sparse.coo_array(minimum_spanning_tree(edges))
     a, b = chain.row.astype(np.int64), chain.col.astype(np.int64)
     # Each patch twice, as it is and turned: a chain connects one such half, and the other.

@@ -791,16 +791,15 @@ def test_shapes_are_solved_for_together_and_each_fails_for_itself(store, tmp_pat
     assert not any(rest().computed for rest in again)
 
 
-def out_of_reach(path):
-    """Write a glTF file whose arrays are in one that no system finds: its name is too long."""
-    path.write_text(json.dumps({"asset": {"version": "2.0"}, "buffers": [{"uri": 300 * "x"}]}))
+def out_of_reach(folder):
+    """Return a file that no system finds: its name is too long."""
+    return folder / f"{300 * 'x'}.off"
 
 
 def test_a_file_out_of_reach_fails_when_it_is_its_turn(store, tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
     write(creature(520), tmp_path / "a.off")
-    out_of_reach(tmp_path / "b.gltf")
-    files = [(name, tmp_path / name) for name in ("b.gltf", "a.off")]
+    files = [("b", out_of_reach(tmp_path)), ("a", tmp_path / "a.off")]
     first, second = begin(store, files, Plan(k=6, solver=Together()))
     assert second().computed
     with pytest.raises(OSError, match="too long"):
@@ -816,11 +815,11 @@ def test_a_defect_shows_where_shapes_go_together(store, tmp_path, monkeypatch):
 
 
 def test_what_was_known_and_is_out_of_reach_is_known_no_more(store, tmp_path):
-    path = tmp_path / "a.gltf"
+    path = tmp_path / "a.off"
     write(creature(520), path)
     complete(store, "a", path, PLAN)
     assert known(store, "a", path, PLAN) is not None
-    out_of_reach(path)
+    path = out_of_reach(tmp_path)
     assert known(store, "a", path, PLAN) is None
     with pytest.raises(OSError, match="too long"):
         complete(store, "a", path, PLAN)

@@ -180,7 +180,7 @@ def _beside(path: Path, uri: str) -> Path | None:
         for file in ((folder / name).resolve() for folder in folders):
             if any(map(file.is_relative_to, folders)) and file.is_file():
                 return file
-    except (ValueError, RuntimeError):  # no name of a file, or links in a ring
+    except (OSError, ValueError, RuntimeError):  # no name of a file, or links in a ring
         pass
     return None
 
