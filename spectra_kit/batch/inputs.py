@@ -16,7 +16,7 @@ from spectra_kit._fingerprint import facts_digest
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.geometry.formats.foreign import advice_for
-from spectra_kit.geometry.io import READERS, is_readable
+from spectra_kit.geometry.io import READERS, readable_files
 from spectra_kit.store.files import MARK
 
 _PATTERN = "*?["
@@ -192,14 +192,9 @@ def _inside(folder: Path, above: frozenset[tuple[int, int]] = frozenset()) -> It
             yield path
 
 
-def _readable(paths: Iterable[Path]) -> list[Path]:
-    """Geometries, and links to nothing that are named as such: these fail, and are told."""
-    return sorted(p for p in paths if is_readable(p) and (p.is_file() or not p.exists()))
-
-
 def _some(source: str, found: Iterable[Path], expected: str) -> Iterator[Input]:
     found = list(found)
-    paths = _readable(found)
+    paths = readable_files(found)
     if not paths:
         known = ", ".join(sorted(READERS))
         other = min((path for path in found if path.suffix), default=None)

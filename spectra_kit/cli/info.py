@@ -21,7 +21,8 @@ def info(asked: program.Info) -> None:
     with step("looking at it"):
         diagnosis = diagnose(geometry)
     try:
-        told_of = hearing() if diagnosis.seam_edges else nullcontext()  # the diagnosis has seams
+        is_cut = diagnosis.seam_edges or diagnosis.hanging_vertices  # which the diagnosis tells
+        told_of = hearing() if is_cut else nullcontext()
         with step("assembling the Laplacian"), told_of:
             operator = tables.operator_record(assemble(asked, geometry))
     except InvalidInputError as error:

@@ -35,6 +35,7 @@ _REMOVED = {
     "unreferenced_vertices": "unreferenced vertex",
     "nan_points": "NaN point",
     "turned_faces": "turned face",
+    "hanging_vertices": "vertex inside a cut edge",
 }
 
 

@@ -14,7 +14,7 @@ from spectra_kit.cli.options import PICTURES
 from spectra_kit.cli.output import check_output, tell_with_picture
 from spectra_kit.cli.progress import counted, say, step
 from spectra_kit.cli.solving import check_solvers, make_solver
-from spectra_kit.cli.words import stem
+from spectra_kit.cli.words import stem, told
 from spectra_kit.embeddings import ShapeDNA, WaveSignature
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, PointCloud
@@ -59,7 +59,8 @@ def similar(asked: program.Similar) -> None:
         )
     if asked.index:
         index.save(asked.index)
-    for name, reason in index.failures.items():
+    left_out = {name: told(error) for name, error in index.failures.items()}
+    for name, reason in left_out.items():
         say(f"warning: left out: {name}: {reason}")
     if not index.names:
         raise InvalidInputError(
@@ -71,7 +72,7 @@ def similar(asked: program.Similar) -> None:
         "input": asked.file,
         "folder": asked.folder,
         "indexed": len(index.names),
-        "left_out": dict(index.failures),
+        "left_out": left_out,
         "neighbours": [near._asdict() for near in found],
     }
     lines = "\n".join(f"{near.distance:8.3f}  {printable(near.name)}" for near in found)
@@ -118,17 +119,17 @@ def label(asked: program.Label) -> None:
     record: tables.Record = {"input": asked.file, "labeller": asked.labeller, **unknown}
     if not isinstance(labeller, Segmenter):
         with step("looking at it"):
-            told = labeller.classify(shape)
-        record |= {"label": told.label, "name": told.name}
-        record["scores"] = dict(zip(labeller.names, told.scores.tolist(), strict=True))
-        best = sorted(zip(told.scores, labeller.names, strict=True), reverse=True)[:5]
+            answer = labeller.classify(shape)
+        record |= {"label": answer.label, "name": answer.name}
+        record["scores"] = dict(zip(labeller.names, answer.scores.tolist(), strict=True))
+        best = sorted(zip(answer.scores, labeller.names, strict=True), reverse=True)[:5]
         lines = "\n".join(
             f"{100 * score:6.1f} %  {printable(name)}" for score, name in best if score > 0
         )
         tell_with_picture(
             asked,
             record,
-            f"{asked.file}: {printable(told.name)}",
+            f"{asked.file}: {printable(answer.name)}",
             lines,
             picture=None,
             draw=_nothing,

@@ -10,6 +10,7 @@ from scipy import sparse
 
 from spectra_kit._types import Floats
 from spectra_kit.eigensolvers.doubts import DOUBTFUL
+from spectra_kit.levels.estimates import in_order
 from spectra_kit.linalg.products import spmm
 from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
@@ -53,12 +54,14 @@ def with_bounds(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
     least = np.where(
         relative > 0, certificate.residuals / some, np.maximum(spectrum.eigenvalues, spacing)
     )
-    with blas_threads_for(spectrum.eigenvectors.size):
-        errors = _absolute(spectrum, laplacian) / least
-    bounded = np.arange(spectrum.k) < certificate.n_verified
-    if certificate.errors is not None:
-        better = bounded & (errors < certificate.errors)
-        errors, bounded = np.where(better, errors, certificate.errors), better
+    bounded, errors = np.arange(spectrum.k) < certificate.n_verified, certificate.errors
+    if errors is None or bounded.any():
+        with blas_threads_for(spectrum.eigenvectors.size):
+            own = _absolute(spectrum, laplacian) / least
+        bounded &= True if errors is None else own < errors
+        errors = own if errors is None else np.where(bounded, own, errors)
+    mixed = in_order(spectrum.eigenvalues, errors * least) / least
+    errors = np.where(bounded, errors, mixed)
     certificate = replace(certificate, errors=errors, bounded=bounded)
     return spectrum.described(certificate, spectrum.provenance)
 

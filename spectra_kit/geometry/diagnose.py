@@ -70,6 +70,11 @@ _PROBLEMS = {
         f"boundary edges lie on others, {UNJOINED}",
         "geometry.repair(mesh)",
     ),
+    "hanging_vertices": (
+        f"vertex lies inside a boundary edge of another face, {UNJOINED}",
+        f"vertices lie inside boundary edges of other faces, {UNJOINED}",
+        "geometry.repair(mesh)",
+    ),
     "turned_faces": (
         "face is wound against its neighbours",
         "faces are wound against their neighbours",
@@ -141,6 +146,9 @@ class Diagnosis:
         Vertices that repeat an earlier one but for rounding, where boundary edges lie on others.
     seam_edges : int
         Boundary edges that lie on another, so that the surface is cut there though it looks whole.
+    hanging_vertices : int
+        Vertices inside a boundary edge of another face, along which an edge of theirs goes on: it
+        is cut there, too.
     turned_faces : int
         Faces wound against their neighbours; as few as must be turned for all to agree.
     clashing_edges : int
@@ -166,6 +174,7 @@ class Diagnosis:
     duplicate_points: int
     near_points: int = 0
     seam_edges: int = 0
+    hanging_vertices: int = 0
     turned_faces: int = 0
     clashing_edges: int = 0
     euler_characteristic: int = 0
@@ -247,6 +256,7 @@ def _face_counts(mesh: TriangleMesh) -> dict[str, Any]:
         "unreferenced_vertices": mesh.n - n_used,
         "near_points": cut.near if cut else 0,
         "seam_edges": cut.edges if cut else 0,
+        "hanging_vertices": len(np.unique(cut.hanging)) if cut else 0,
         "turned_faces": int(turned.sum()),
         "clashing_edges": clashing,
         "euler_characteristic": n_used - len(edges) + n_faces,

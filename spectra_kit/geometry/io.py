@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path
-from spectra_kit._validate import hearing, warn
+from spectra_kit._validate import hearing, quantity, warn
 from spectra_kit.errors import (
     IgnoredContentWarning,
     InvalidFileError,
@@ -19,7 +19,7 @@ from spectra_kit.errors import (
 from spectra_kit.geometry.formats import gltf, numpy_arrays, obj, off, ply, stl, xyz
 from spectra_kit.geometry.formats._arrays import Arrays
 from spectra_kit.geometry.formats._room import PACKED, format_of, unpacked
-from spectra_kit.geometry.formats.foreign import advice_for
+from spectra_kit.geometry.formats.foreign import advice_for, is_foreign
 from spectra_kit.geometry.polygons import surface
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 
@@ -220,6 +220,25 @@ def write(geometry: Geometry, path: str | os.PathLike[str]) -> None:
 def is_readable(path: Path) -> bool:
     """Whether the name is that of a format that `read` knows."""
     return format_of(path) in READERS
+
+
+def readable_files(paths: Iterable[Path]) -> list[Path]:
+    """Return those that `read` knows by their names, sorted, and tell of geometries among the rest.
+
+    A link to nothing is one of them: it fails, and is told.
+    """
+    named = [path for path in paths if is_readable(path) or is_foreign(path)]
+    found = sorted(path for path in named if path.is_file() or not path.exists())
+    files = [path for path in found if is_readable(path)]
+    others = [path for path in found if is_foreign(path)]
+    if files and others:
+        warn(
+            f"passed over {quantity(len(others), 'file')} of formats that are not read, the first"
+            f" is {others[0].name!r}",
+            IgnoredContentWarning,
+            advice=advice_for(others[0]),
+        )
+    return files
 
 
 def _lookup(table: dict[str, Any], path: Path, action: str, advice: str = "") -> Any:

@@ -11,6 +11,7 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Brief, frozen, real_array
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.hanging import divided
 from spectra_kit.geometry.seams import joined, seams
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh, distinct_rows
 from spectra_kit.geometry.winding import turn, wound_against
@@ -37,6 +38,8 @@ class RepairReport:
         Points that were NaN or infinite, of `without_nan`.
     turned_faces : int
         Faces that were wound against their neighbours.
+    hanging_vertices : int
+        Vertices at which faces were cut, inside of whose edges they lay.
     """
 
     merged_points: int = 0
@@ -46,6 +49,7 @@ class RepairReport:
     unreferenced_vertices: int = 0
     nan_points: int = 0
     turned_faces: int = 0
+    hanging_vertices: int = 0
 
 
 @checked
@@ -108,7 +112,8 @@ def repair(geometry: Geometry, *, merge: bool = True, tolerance: float | None = 
     """Return a clean copy of `geometry`: each point and face once, every face with area.
 
     For a mesh: coincident vertices are joined, and those that repeat each other up to rounding
-    where boundary edges lie on others; then degenerate and duplicate faces dropped, then vertices
+    where boundary edges lie on others; where such an edge goes on from inside another, the face of
+    that is cut; then degenerate and duplicate faces dropped, then vertices
     without a face; and the faces turned that are wound against their neighbours. Non-manifold
     edges, boundaries and separate components stay: the tufted Laplacian needs nothing done about
     them. For a cloud: duplicate points are dropped.
@@ -159,10 +164,15 @@ def repair(geometry: Geometry, *, merge: bool = True, tolerance: float | None = 
     if tolerance is not None and not 0 <= tolerance < np.inf:
         raise InvalidInputError("tolerance", "be a length, 0 or more", f"{tolerance:g}")
     first = label = np.arange(geometry.n)
-    near = 0
+    near, cut = 0, None
     if merge:
         first, label = distinct_rows(geometry.points)
-        leader = _near(geometry, first, label, tolerance)
+        points = geometry.points[first]
+        if isinstance(geometry, TriangleMesh) and tolerance is None:
+            cut = seams(TriangleMesh(points, label[geometry.faces]))
+            leader = cut.label if cut else np.arange(len(first))
+        else:
+            leader = _near(geometry, points, label, tolerance or 0.0)
         kept = leader == np.arange(len(first))
         near = int((~kept).sum())
         first, label = first[kept], (np.cumsum(kept) - 1)[leader[label]]
@@ -172,6 +182,11 @@ def repair(geometry: Geometry, *, merge: bool = True, tolerance: float | None = 
         report = RepairReport(merged_points=merged, near_points=near)
         return Repaired(cloud, report, frozen(first), frozen(label))
     whole = TriangleMesh(geometry.points[first], label[geometry.faces])
+    hanging = 0
+    if cut and len(cut.hanging):
+        new = np.cumsum(kept) - 1
+        faces = divided(whole.points, whole.faces, new[cut.opened], new[cut.hanging])
+        whole, hanging = TriangleMesh(whole.points, faces), len(np.unique(cut.hanging))
     if whole.degenerate_faces().all():
         raise InvalidInputError(
             "geometry",
@@ -189,6 +204,7 @@ def repair(geometry: Geometry, *, merge: bool = True, tolerance: float | None = 
     report = RepairReport(
         merged_points=merged,
         near_points=near,
+        hanging_vertices=hanging,
         degenerate_faces=len(whole.faces) - len(proper.faces),
         duplicate_faces=len(proper.faces) - len(distinct.faces),
         unreferenced_vertices=whole.n - len(used),
@@ -199,18 +215,13 @@ def repair(geometry: Geometry, *, merge: bool = True, tolerance: float | None = 
     return Repaired(clean, report, frozen(first[used]), frozen(new_index[label]))
 
 
-def _near(geometry: Geometry, first: Ints, label: Ints, tolerance: float | None) -> Ints:
+def _near(geometry: Geometry, points: Floats, label: Ints, tolerance: float) -> Ints:
     """Return which of the distinct points each of them is to be joined with."""
-    points = geometry.points[first]
-    alone = np.arange(len(first))
-    if isinstance(geometry, PointCloud):
-        return joined(points, np.full(len(points), tolerance)) if tolerance else alone
+    alone = np.arange(len(points))
     if tolerance == 0:
         return alone
-    mesh = TriangleMesh(points, label[geometry.faces])
-    if tolerance is None:
-        found = seams(mesh)
-        return alone if found is None else found.label
-    edge = mesh.boundary_vertices
+    if isinstance(geometry, PointCloud):
+        return joined(points, np.full(len(points), tolerance))
+    edge = TriangleMesh(points, label[geometry.faces]).boundary_vertices
     alone[edge] = edge[joined(points[edge], np.full(len(edge), tolerance))]
     return alone

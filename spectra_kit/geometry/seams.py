@@ -2,8 +2,8 @@
 
 Formats that keep a normal or a texture with each vertex repeat the vertices at which these jump,
 and programs that transform the parts of a surface one by one round the copies differently. Points
-that are only near, and surfaces that touch in a point, are none: edges must lie on each other as a
-whole.
+that are only near, and surfaces that touch in a point, are none: edges must lie on each other, as a
+whole or from a vertex on.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ from itertools import chain
 import numpy as np
 from scipy.spatial import cKDTree
 
-from spectra_kit._types import Bools, Floats, Ints
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import quantity, warn
 from spectra_kit.errors import SplitSurfaceWarning
+from spectra_kit.geometry.hanging import divided, lying_on, points_inside
 from spectra_kit.geometry.shapes import TriangleMesh, distinct_rows
 from spectra_kit.geometry.units import box_unit
 
@@ -35,6 +36,15 @@ class Seams:
     exact: int  # vertices of theirs at the place of an earlier one
     near: int  # at that of an earlier one up to rounding
     label: Ints  # (n,): the first of the vertices of each such place; elsewhere itself
+    opened: Ints  # (h, 2): edges inside which vertices hang, by labels; with several, as often
+    hanging: Ints  # (h,): these vertices, by labels
+
+    def closed(self, mesh: TriangleMesh) -> TriangleMesh:
+        """Return the mesh with its seams joined, and faces cut where vertices hang."""
+        faces = self.label[mesh.faces]
+        if len(self.hanging):
+            faces = divided(mesh.points, faces, self.opened, self.hanging)
+        return TriangleMesh(mesh.points, faces)
 
 
 def joined(points: Floats, reach: Floats) -> Ints:
@@ -75,20 +85,27 @@ def seams(mesh: TriangleMesh) -> Seams | None:
     ends = ends.reshape(-1, 2)
     points = mesh.points[vertices]
     first, place = distinct_rows(points)
-    place = joined(points[first], _reach(mesh, vertices, place))[place]
+    reach = _reach(mesh, vertices, place)
+    place = joined(points[first], reach)[place]
     lines = np.sort(place[ends], axis=1)
     proper = lines[:, 0] < lines[:, 1]
     keys = lines[:, 0] * len(first) + lines[:, 1]
     _, line, alike = np.unique(keys, return_inverse=True, return_counts=True)
     on_others = proper & (alike[line] > 1)
-    if not on_others.any():
+    rest = np.flatnonzero(proper & ~on_others)
+    inner = points_inside(points[first], lines[rest], reach)
+    if not on_others.any() and not len(inner[0]):
         return None
+    face, across = _sides(mesh, boundary)
     rounded = (points[ends] != points[first][place[ends]]).any(axis=(1, 2))
     rounded = np.bincount(line, rounded) > 0
-    on_others[on_others] = ~(rounded[line] & _two_sheets(mesh, boundary, line))[on_others]
-    if not on_others.any():
+    total = np.column_stack([np.bincount(line, column) for column in across.T])
+    two_sheets = np.linalg.norm(total, axis=1) > _ALIKE * np.bincount(line)
+    on_others &= ~(rounded & two_sheets)[line]
+    opened, inside = _hanging(lines[rest], face[rest], across[rest], *inner)
+    if not on_others.any() and not len(inside):
         return None
-    at = np.zeros(len(vertices), dtype=bool)
+    at = np.isin(place, np.concatenate([opened.ravel(), inside]))
     at[ends[on_others]] = True
     label = np.arange(mesh.n)
     leader = np.full(len(vertices), len(vertices))
@@ -96,7 +113,8 @@ def seams(mesh: TriangleMesh) -> Seams | None:
     label[vertices[at]] = vertices[leader[place[at]]]
     moved = np.flatnonzero(label != np.arange(mesh.n))
     exact = int((mesh.points[moved] == mesh.points[label[moved]]).all(axis=1).sum())
-    return Seams(int(on_others.sum()), exact, len(moved) - exact, label)
+    opened, inside = np.sort(vertices[leader[opened]], axis=1), vertices[leader[inside]]
+    return Seams(int(on_others.sum()), exact, len(moved) - exact, label, opened, inside)
 
 
 def _reach(mesh: TriangleMesh, vertices: Ints, place: Ints) -> Floats:
@@ -113,21 +131,28 @@ def _reach(mesh: TriangleMesh, vertices: Ints, place: Ints) -> Floats:
     return NEAR * shortest[:-1]
 
 
-def _two_sheets(mesh: TriangleMesh, boundary: Ints, line: Ints) -> Bools:
-    """Mark boundary edges on others whose faces lie on the same side: sheets on each other."""
+def _sides(mesh: TriangleMesh, boundary: Ints) -> tuple[Ints, Floats]:
+    """Return the face (b,) of each boundary edge, and the direction (b, 3) in which it lies."""
     heads = np.roll(mesh.faces, -1, axis=1)
     sides = np.minimum(mesh.faces, heads) * mesh.n + np.maximum(mesh.faces, heads)
     keys = boundary[:, 0] * mesh.n + boundary[:, 1]  # ascending
     at = np.minimum(np.searchsorted(keys, sides), len(keys) - 1)
-    face, corner = np.nonzero(keys[at] == sides)
-    apex = np.empty(len(keys), dtype=np.int64)
-    apex[at[face, corner]] = mesh.faces[face, corner - 1]
+    row, corner = np.nonzero(keys[at] == sides)
+    apex, face = np.empty((2, len(keys)), dtype=np.int64)
+    apex[at[row, corner]], face[at[row, corner]] = mesh.faces[row, corner - 1], row
     start, end = mesh.points[boundary[:, 0]], mesh.points[boundary[:, 1]]
     along = _unit(end - start)
     across = mesh.points[apex] - start
-    across = _unit(across - np.einsum("er,er->e", across, along)[:, None] * along)
-    total = np.column_stack([np.bincount(line, column) for column in across.T])
-    return np.asarray((np.linalg.norm(total, axis=1) > _ALIKE * np.bincount(line))[line])
+    return face, _unit(across - np.einsum("er,er->e", across, along)[:, None] * along)
+
+
+def _hanging(lines: Ints, face: Ints, across: Floats, e: Ints, p: Ints) -> tuple[Ints, Ints]:
+    """Return, of edges with points inside, those along which one of another face goes on."""
+    pair, f = lying_on(lines, e, p)
+    one = e[pair]
+    two_sheets = np.einsum("er,er->e", across[one], across[f]) > _ALIKE
+    found = np.unique(pair[(face[one] != face[f]) & ~two_sheets])
+    return lines[e[found]], p[found]
 
 
 def _unit(vectors: Floats) -> Floats:
@@ -141,16 +166,23 @@ def warn_of_seams(mesh: TriangleMesh) -> None:
     if found is None:
         return
     n_parts = len(np.unique(mesh.component_labels))
-    whole = TriangleMesh(mesh.points, found.label[mesh.faces]).without_unreferenced()
-    n_whole = len(np.unique(whole.component_labels))
-    rounded = f", {found.near:,} of them up to rounding" if found.near else ""
+    n_whole = len(np.unique(found.closed(mesh).without_unreferenced().component_labels))
+    told = []
+    if found.edges:
+        rounded = f", {found.near:,} of them up to rounding" if found.near else ""
+        told.append(
+            f"{found.edges:,} boundary edges lie on others, whose"
+            f" {quantity(found.exact + found.near, 'vertex')} repeat earlier ones{rounded}"
+        )
+    if n_hanging := len(np.unique(found.hanging)):
+        which = "vertex lies inside a boundary edge" if n_hanging == 1 else "vertices lie inside"
+        which += " of another face" if n_hanging == 1 else " boundary edges of other faces"
+        told.append(f"{n_hanging:,} {which}")
     cut = f"is slit open there, in {quantity(n_parts, 'part')}"
     if n_parts > n_whole:
         cut = f"falls into {n_parts:,} parts, and has {n_whole:,} if they are joined"
     warn(
-        f"{found.edges:,} boundary edges lie on others, whose"
-        f" {quantity(found.exact + found.near, 'vertex')} repeat earlier ones{rounded}: the surface"
-        f" {cut}",
+        f"{' and '.join(told)}: the surface {cut}",
         SplitSurfaceWarning,
         advice="join them with {}",
         remedies=("geometry.repair(mesh)",),

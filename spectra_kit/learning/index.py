@@ -19,7 +19,7 @@ from spectra_kit._validate import Brief, check_count
 from spectra_kit._version import VERSION
 from spectra_kit.errors import InvalidInputError, SpectraKitError
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh, read
-from spectra_kit.geometry.io import READERS, is_readable
+from spectra_kit.geometry.io import READERS, readable_files
 from spectra_kit.learning import _files
 from spectra_kit.learning.examples import Recipe
 
@@ -55,7 +55,7 @@ class ShapeIndex(Brief):
         Of what each vector was made of: a shape that changed is embedded anew.
     vectors : ndarray of shape (s, c)
         The embeddings.
-    failures : mapping of str to str
+    failures : mapping of str to SpectraKitError
         Why other files are not in it.
     """
 
@@ -63,7 +63,7 @@ class ShapeIndex(Brief):
     names: tuple[str, ...]
     digests: tuple[str, ...]
     vectors: Floats
-    failures: Mapping[str, str] = field(default_factory=dict)
+    failures: Mapping[str, SpectraKitError] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         rows = np.shape(self.vectors)
@@ -189,8 +189,7 @@ def index_folder(
     ['animal0.off', 'animal1.off']
     """
     folder = Path(folder)
-    entries = sorted(folder.iterdir()) if folder.is_dir() else []
-    files = [p for p in entries if is_readable(p) and not p.is_dir()]
+    files = readable_files(folder.iterdir()) if folder.is_dir() else []
     if not files:
         raise InvalidInputError(
             "folder",
@@ -199,7 +198,7 @@ def index_folder(
         )
     old = {} if known is None else dict(zip(known.digests, known.vectors, strict=True))
     made: dict[str, tuple[str, Floats]] = {}
-    failures = {}
+    failures: dict[str, SpectraKitError] = {}
     for i, path in enumerate(files):
         try:
             shape = load(str(path))
@@ -208,7 +207,7 @@ def index_folder(
             digest = _digest(shape, recipe)
             made[path.name] = digest, old[digest] if digest in old else recipe.vector(shape)
         except SpectraKitError as error:
-            failures[path.name] = str(error)
+            failures[path.name] = error.with_traceback(None)  # else it keeps the shape
         if progress is not None:
             progress(i + 1, len(files))
     vectors = [vector for _, vector in made.values()]

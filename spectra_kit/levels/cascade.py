@@ -12,7 +12,7 @@ from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.levels.coarse import Coarse, coarsen
-from spectra_kit.levels.estimates import excess
+from spectra_kit.levels.estimates import excess, in_order
 from spectra_kit.levels.smoothing import Smoothing, on_device
 from spectra_kit.linalg.blocks import operations
 from spectra_kit.linalg.ritz import ritz_pairs, ritz_rotation
@@ -132,23 +132,12 @@ def climb(
             least = np.maximum(values, laplacian.eigenvalue_spacing)[:k]
             falls = np.maximum(before[:k] - values[:k], 0.0)
             off = excess(smoothing, values, X, residual, falls)
-            found, errors = off / least, _in_order(values[:k], off) / least
+            found, errors = off / least, in_order(values[:k], off) / least
             clock.stage("smooth")
             gained += float((falls / least).mean())
             if errors.mean() <= (target / _SURE if finest else max(goal, _LEFT * gained)):
                 break
     return Climbed(values, X, errors, step)
-
-
-def _in_order(values: Floats, errors: Floats) -> Floats:
-    """Return the errors of ascending values that leave eigenvalues in ascending order.
-
-    Of modes closer than their errors, the best are mixtures that hold as much of the lowest
-    eigenvalue as the worst do: what these are too high by is told of the first.
-    """
-    left = values - errors
-    sorts = np.sort(left)
-    return np.where(sorts == left, errors, values - sorts)
 
 
 def _rotated(level: Smoothing, smooth: Any, values: Floats, X: Any, k: int) -> tuple[Floats, Any]:

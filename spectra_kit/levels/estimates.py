@@ -86,3 +86,14 @@ def _fitted(columns: NDArray[np.intp], known: Floats, sizes: Floats, falls: Floa
     found = np.exp(mean + features @ weights + _UNSURE * spread)
     found[columns] = known
     return np.asarray(found)
+
+
+def in_order(values: Floats, errors: Floats) -> Floats:
+    """Return the errors of ascending values that leave eigenvalues in ascending order.
+
+    Of modes closer than their errors, the best are mixtures that hold as much of the lowest
+    eigenvalue as the worst do: what these are too high by is told of the first.
+    """
+    left = values - errors
+    sorts = np.sort(left)
+    return np.where(sorts == left, errors, values - sorts)

@@ -41,10 +41,10 @@ def warn_of_near_parts(laplacian: Laplacian, n_neighbors: int) -> None:
         reach = _NEAR * distances[min(few, len(part) - 1)]
         near += gap <= reach or _is_line(offsets[distances <= gap])
     if near:
+        some = "they lie" if near == laplacian.n_components else f"{near:,} of them lie"
         warn(
-            f"the cloud falls into {laplacian.n_components:,} parts with an eigenvalue 0 each; from"
-            f" {near:,} of them, the next is no further than points or lines of one surface are"
-            " from each other",
+            f"the cloud falls into {laplacian.n_components:,} parts with an eigenvalue 0 each, and"
+            f" {some} as near to the next as points or lines of one surface do to each other",
             SplitSurfaceWarning,
             advice=f"if they are one surface, raise `n_neighbors` above {n_neighbors}, or thin the"
             " points along their lines",

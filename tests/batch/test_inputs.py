@@ -6,7 +6,7 @@ import pytest
 from conftest import bumpy, refused
 
 from spectra_kit.batch import Input, compute_all, find_inputs, shard
-from spectra_kit.errors import InvalidFileError
+from spectra_kit.errors import IgnoredContentWarning, InvalidFileError
 from spectra_kit.geometry import write
 from spectra_kit.store import Plan, SpectrumStore
 
@@ -127,6 +127,13 @@ def test_a_link_to_a_store_is_not_read(folder):
     SpectrumStore("store").keep_shape(bumpy())
     Path("scans/store").symlink_to("../store")
     assert not any("store" in name for name in names("scans"))
+
+
+def test_geometries_of_other_formats_are_told(folder):
+    Path("scans/deep/brain.gii").touch()
+    Path("scans/deep/table.csv").touch()  # which may be anything
+    with pytest.warns(IgnoredContentWarning, match=r"over 1 file .* 'brain\.gii'.* nibabel\.load"):
+        assert len(names("scans")) == 3
 
 
 def test_sources_that_name_nothing_or_one_thing_twice(folder):

@@ -9,7 +9,7 @@ from running import printed, record, refusal
 
 from spectra_kit.cli import main
 from spectra_kit.embeddings import HeatSignature, ShapeDNA
-from spectra_kit.geometry import PointCloud, torus, write
+from spectra_kit.geometry import PointCloud, TriangleMesh, sphere, torus, write
 from spectra_kit.learning import (
     NearestNeighbour,
     PointMLP,
@@ -77,11 +77,15 @@ def test_an_index_is_kept_and_is_of_the_same_samples_alone(shapes, tmp_path, cap
 def test_what_is_left_out_is_told(shapes, tmp_path, capsys):
     write(creature(600), tmp_path / "animal.off")
     write(PointCloud(np.eye(3)), tmp_path / "tiny.xyz")
+    ball = sphere(subdivisions=2).geometry
+    faces = np.concatenate([ball.faces, ball.faces + ball.n])
+    write(TriangleMesh(np.concatenate([ball.points, ball.points + 9]), faces), tmp_path / "two.off")
     arguments = ("similar", shapes / "ring.ply", tmp_path, "-k", 30, "--json")
     out, err = printed(capsys, *arguments)
-    assert err.startswith("warning: left out: tiny.xyz: ")
+    assert "warning: left out: tiny.xyz: " in err
     found = json.loads(out)
-    assert list(found["left_out"]) == ["tiny.xyz"]
+    assert list(found["left_out"]) == ["tiny.xyz", "two.off"]
+    assert "--largest" in found["left_out"]["two.off"]
     assert [near["name"] for near in found["neighbours"]] == ["animal.off"]
 
 

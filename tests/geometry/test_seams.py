@@ -150,7 +150,54 @@ def touching_at_a_point() -> TriangleMesh:
     return joined(sheet, sheet.with_points(2 * corner - sheet.points))
 
 
+def square(n: int) -> TriangleMesh:
+    return rectangle(n=n, height=1.0).geometry
+
+
+def tiled(*resolutions: int) -> TriangleMesh:
+    """Squares in a row, each with as many points as is said: sides of one and the next differ."""
+    tiles = map(square, resolutions)
+    return joined(*(moved(tile, i, 0, 0) for i, tile in enumerate(tiles)))
+
+
+def box(noise: float) -> TriangleMesh:
+    """Six squares with other points on each, so that no two sides fit."""
+    sides = []
+    for i, n in enumerate((49, 64, 100, 121, 81, 144)):
+        points = np.roll(square(n).points + [0, 0, i % 2], i // 2, axis=1)
+        sides.append(TriangleMesh(points, square(n).faces))
+    whole = joined(*sides)
+    return whole.with_points(whole.points + noise * RNG(3).standard_normal((whole.n, 3)))
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-7])
+def test_faces_are_cut_where_vertices_of_others_lie_inside_their_edges(noise: float) -> None:
+    row = tiled(400, 1600, 900)
+    row = row.with_points(row.points + noise * RNG(3).standard_normal((row.n, 3)))
+    told = "vertices lie inside boundary edges of other faces: the surface falls into 3 parts, and "
+    with pytest.warns(SplitSurfaceWarning, match=told):
+        sk.robust_laplacian(row)
+    assert diagnose(row).hanging_vertices > 60
+    repaired = repair(row)
+    assert diagnose(repaired.geometry).is_clean
+    assert repaired.report.hanging_vertices == diagnose(row).hanging_vertices
+    modes = sk.spectrum(repaired.geometry, 5)
+    x, y = np.mgrid[:5, :3]  # a rectangle of 3 by 1, whose boundary is free
+    exact = np.sort((np.pi**2 * (x**2 / 9 + y**2)).ravel())[:5]
+    np.testing.assert_allclose(modes.eigenvalues, exact, rtol=3e-3, atol=1e-9)
+    closed = repair(box(noise)).geometry
+    assert diagnose(closed).euler_characteristic == 2
+    assert diagnose(closed).boundary_edges == 0
+    np.testing.assert_allclose(closed.area, 6, rtol=1e-5)
+
+
 APART: dict[str, TriangleMesh] = {
+    "stacked closely, with other points": joined(
+        rectangle(n=100).geometry, moved(rectangle(n=144).geometry, 0, 0, 1e-5)
+    ),
+    "a cap whose corner lies on its side": TriangleMesh(
+        [[0, 0, 0], [2, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 1, 2], [0, 2, 3]]
+    ),
     "side by side": strip(gap=0.01),
     "stacked": stacked(1e-3),
     "stacked closely": stacked(1e-5),
@@ -173,7 +220,7 @@ def test_what_is_only_near_or_touches_in_a_point_is_left_apart(name: str) -> Non
     with warnings.catch_warnings():
         warnings.simplefilter("error", SplitSurfaceWarning)
         sk.robust_laplacian(mesh)
-    assert diagnose(mesh).seam_edges == 0
+    assert diagnose(mesh).seam_edges == diagnose(mesh).hanging_vertices == 0
     assert repair(mesh).report.near_points == 0
 
 

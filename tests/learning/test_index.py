@@ -119,7 +119,7 @@ def test_what_cannot_be_embedded_is_named_and_the_rest_goes_on(folder):
     index = index_folder(folder, RECIPE, progress=lambda done, total: told.append((done, total)))
     assert len(index.names) == 5
     assert set(index.failures) == {"two.off", "tiny.xyz", "broken.obj"}
-    assert "2 components" in index.failures["two.off"]
+    assert "2 components" in str(index.failures["two.off"])
     assert told == [(i + 1, 8) for i in range(8)]
 
 

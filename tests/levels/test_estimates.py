@@ -9,8 +9,8 @@ from conftest import creature
 import spectra_kit as sk
 from spectra_kit.geometry import sphere, torus
 from spectra_kit.levels import coarse_pairs
-from spectra_kit.levels.cascade import _in_order, climb, nested
-from spectra_kit.levels.estimates import excess
+from spectra_kit.levels.cascade import climb, nested
+from spectra_kit.levels.estimates import excess, in_order
 from spectra_kit.levels.smoothing import Smoothing, on_device
 
 K = 49  # on a sphere, all copies of each eigenvalue
@@ -121,5 +121,5 @@ def test_modes_that_change_places_are_told_in_the_order_of_their_eigenvalues():
         exact, off = np.sort(rng.random(12)), 10 ** rng.uniform(-9, 0, 12)
         order = np.argsort(exact + off)
         values = (exact + off)[order]
-        np.testing.assert_allclose(values - _in_order(values, off[order]), exact, atol=1e-14)
-    np.testing.assert_array_equal(_in_order(exact, exact * 1e-20), exact * 1e-20)
+        np.testing.assert_allclose(values - in_order(values, off[order]), exact, atol=1e-14)
+    np.testing.assert_array_equal(in_order(exact, exact * 1e-20), exact * 1e-20)

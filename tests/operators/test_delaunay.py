@@ -217,7 +217,7 @@ def test_hulls_around_the_origin_are_those_of_qhull(k: int) -> None:
 
 def test_parts_that_look_like_lines_of_one_surface_are_told() -> None:
     cut = PointCloud(slices(24, 200))  # flat at top and bottom, with nothing between two circles
-    with pytest.warns(SplitSurfaceWarning, match="from 2 of them"):
+    with pytest.warns(SplitSurfaceWarning, match="and they lie as near"):
         assert delaunay_laplacian(cut).n_components == 2
     with pytest.warns(SplitSurfaceWarning, match="raise `n_neighbors` above 20"):
         assert knn_laplacian(PointCloud(rings(24, 400))).n_components > 1

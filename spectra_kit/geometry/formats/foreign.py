@@ -38,6 +38,13 @@ _WORDS = {
     ),
     "unpack it first": ".zip .tar .tgz .7z .rar .zst",
 }
+_ANYTHING = ".csv .mat .txt .asc .dat .tsv .tif .tiff .zip .tar .tgz .7z .rar .zst"
+
+
+def is_foreign(path: Path) -> bool:
+    """Whether the name is that of a geometry that others read, and not of what may be anything."""
+    known = f"{' '.join(_CALLS.values())} {' '.join(_WORDS.values())}".split()
+    return format_of(path) in known and format_of(path) not in _ANYTHING.split()
 
 
 def advice_for(path: Path) -> str:
