@@ -39,15 +39,15 @@ from spectra_kit import (
     delaunay_laplacian,
     eigensolve,
 )
-from spectra_kit._files import atomic_path
+from spectra_kit._core.files import atomic_path
+from spectra_kit.eigen.metrics import compare_spectra, span_error, subspace_span_error
 from spectra_kit.errors import DoubtfulSpectrumWarning
 from spectra_kit.geometry import GaussianDensity, sample
 from spectra_kit.geometry.io import READERS
-from spectra_kit.metrics import compare_spectra, span_error, subspace_span_error
 from spectra_kit.neo import NeoConfig, NeoSubspace, load_pretrained, save_weights
-from spectra_kit.training.config import TrainConfig
-from spectra_kit.training.shards import Corpus, open_shards
-from spectra_kit.training.train import train
+from spectra_kit.neo.train.config import TrainConfig
+from spectra_kit.neo.train.shards import Corpus, open_shards
+from spectra_kit.neo.train.train import train
 
 TINY = NeoConfig(width=64, depth=3, heads=4, head_width=16, latents=32, m=192, waves=32)
 # Name -> what it changes; trained in this order.

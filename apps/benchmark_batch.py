@@ -25,7 +25,7 @@ from measure.command import exit_code, parser_of
 from measure.machine import describe_machine
 from measure.shapes import data_folder
 
-from spectra_kit._files import atomic_path
+from spectra_kit._core.files import atomic_path
 
 _SHAPES = {"memory": 500, "broken": 300}  # others have --shapes, too
 

@@ -24,10 +24,10 @@ from measure.shapes import data_folder
 from measure.tables import table
 
 from spectra_kit import Laplacian, Neo, Spectrum, eigensolve, eigensolve_many, laplacian
-from spectra_kit._validate import check_count
+from spectra_kit._core.threads import single_threaded, thread_count
+from spectra_kit._core.validate import check_count
 from spectra_kit.geometry import TriangleMesh, creature, sample
-from spectra_kit.linalg.threads import single_threaded, thread_count
-from spectra_kit.training.pool import open_pool
+from spectra_kit.neo.train.pool import open_pool
 
 Way = Callable[[], list[Spectrum]]
 

@@ -41,7 +41,7 @@ from measure.store import Store
 from measure.study import run
 from measure.worker import Limits
 
-from spectra_kit._validate import check_count
+from spectra_kit._core.validate import check_count
 
 # Points by default: the NEO paper has times of about as many.
 _SIZES = [8192, 65536, 500_000]

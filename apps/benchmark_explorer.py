@@ -20,7 +20,7 @@ from pathlib import Path
 from measure.command import exit_code, parser_of
 from measure.explorer import measure_page
 
-from spectra_kit._validate import check_count
+from spectra_kit._core.validate import check_count
 
 
 def main(argv: Sequence[str] | None = None) -> int:

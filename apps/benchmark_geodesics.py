@@ -30,7 +30,7 @@ from measure.store import Store
 from measure.study import run
 from measure.worker import Limits
 
-from spectra_kit._validate import check_count
+from spectra_kit._core.validate import check_count
 
 MESHES = ("hammer", "bunny", "horse", "koala", "amo", "igea")
 

@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 
 import spectra_kit as sk
-from spectra_kit.descriptors import heat_kernel_signature, heat_times
-from spectra_kit.metrics import Comparison, align_modes
-from spectra_kit.viz.axes import LINE_COLOURS, tidy
-from spectra_kit.viz.camera import View
-from spectra_kit.viz.colours import distance_colours, position_colours, refined
-from spectra_kit.viz.contours import distance_levels
-from spectra_kit.viz.isolines import distance_lines
-from spectra_kit.viz.modes import display_signs
-from spectra_kit.viz.page import MARGIN, Page, new_figure
-from spectra_kit.viz.panels import Panel, draw_panels
-from spectra_kit.viz.pen import Pen
-from spectra_kit.viz.picture import save
-from spectra_kit.viz.render import Scene, render
+from spectra_kit.eigen.metrics import Comparison, align_modes
+from spectra_kit.features import heat_kernel_signature, heat_times
+from spectra_kit.show.axes import LINE_COLOURS, tidy
+from spectra_kit.show.camera import View
+from spectra_kit.show.colours import distance_colours, position_colours, refined
+from spectra_kit.show.contours import distance_levels
+from spectra_kit.show.isolines import distance_lines
+from spectra_kit.show.modes import display_signs
+from spectra_kit.show.page import MARGIN, Page, new_figure
+from spectra_kit.show.panels import Panel, draw_panels
+from spectra_kit.show.pen import Pen
+from spectra_kit.show.picture import save
+from spectra_kit.show.render import Scene, render
 
 MODE, ENLARGED = 33, 100
 COLUMNS, CELL, TALL, GAP, CAPTION = 4, 2.75, 2.05, 0.22, 0.56  # inches

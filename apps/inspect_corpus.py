@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import TriangleMesh
-from spectra_kit.training.corpus import CorpusReport, claim, count, read_fingerprint
-from spectra_kit.training.families import FAMILIES
-from spectra_kit.training.samples import CorpusConfig, sample_mesh
-from spectra_kit.training.shards import Corpus, open_shards
-from spectra_kit.training.surfaces import join
-from spectra_kit.viz.camera import View
-from spectra_kit.viz.render import Scene, render
+from spectra_kit.neo.train.corpus import CorpusReport, claim, count, read_fingerprint
+from spectra_kit.neo.train.families import FAMILIES
+from spectra_kit.neo.train.samples import CorpusConfig, sample_mesh
+from spectra_kit.neo.train.shards import Corpus, open_shards
+from spectra_kit.neo.train.surfaces import join
+from spectra_kit.show.camera import View
+from spectra_kit.show.render import Scene, render
 
 NAMES = (*FAMILIES, "pool")
 PITCH = 2.3  # from one surface to the next, their half size being 1

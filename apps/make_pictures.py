@@ -33,13 +33,13 @@ from pathlib import Path
 from hero import draw_hero
 
 import spectra_kit as sk
-from spectra_kit import viz
+from spectra_kit import show
 from spectra_kit.cli import main as spectra_kit_command
-from spectra_kit.descriptors import farthest_points, heat_kernel_signature, heat_times
+from spectra_kit.eigen.metrics import Comparison, compare_spectra
 from spectra_kit.errors import SpectraKitError
-from spectra_kit.explorer import write_explorer
+from spectra_kit.features import farthest_points, heat_kernel_signature, heat_times
 from spectra_kit.geometry import creature, creature_pair, sample
-from spectra_kit.metrics import Comparison, compare_spectra
+from spectra_kit.show.explorer import write_explorer
 
 ROOT = Path(__file__).parents[1]
 MEASURED = ROOT / "apps/results/cpu.json"  # benchmark.json of benchmark_eigensolvers.py
@@ -117,18 +117,18 @@ def hero(studio: Studio) -> None:
 
 def modes(studio: Studio) -> None:
     """A gallery of modes."""
-    viz.plot_modes(
+    show.plot_modes(
         studio.path("modes.png"),
         studio.animal,
         studio.exact,
         modes=(1, 2, 3, 5, 8, 12, 20, 33, 54),
-        page=viz.Page("The lowest modes of a surface, with their nodal lines", dpi=studio.dpi),
+        page=show.Page("The lowest modes of a surface, with their nodal lines", dpi=studio.dpi),
     )
 
 
 def comparison(studio: Studio) -> None:
     """Exact, predicted, difference."""
-    viz.plot_comparison(
+    show.plot_comparison(
         studio.path("comparison.png"),
         studio.animal,
         studio.exact,
@@ -136,74 +136,74 @@ def comparison(studio: Studio) -> None:
         studio.comparison,
         modes=(5, 20, 50),
         names=("exact: Arpack()", "predicted: Neo()"),
-        page=viz.Page(dpi=studio.dpi),
+        page=show.Page(dpi=studio.dpi),
     )
 
 
 def cloud(studio: Studio) -> None:
     """Modes of points."""
     points = sample(studio.animal, 8000, seed=0)
-    viz.plot_modes(
+    show.plot_modes(
         studio.path("cloud.png"),
         points,
         sk.eigensolve(sk.delaunay_laplacian(points), 40),
         modes=(2, 8, 33),
-        page=viz.Page("The same surface as 8,000 points", dpi=studio.dpi),
+        page=show.Page("The same surface as 8,000 points", dpi=studio.dpi),
     )
 
 
 def spectrum(studio: Studio) -> None:
     """Eigenvalues and what is certain of them."""
-    viz.plot_spectrum(
+    show.plot_spectrum(
         studio.path("spectrum.png"),
         {"Arpack()": studio.exact, "Neo()": studio.predicted},
-        page=viz.Page("96 eigenvalues, exact and predicted", dpi=studio.dpi),
+        page=show.Page("96 eigenvalues, exact and predicted", dpi=studio.dpi),
     )
 
 
 def signatures(studio: Studio) -> None:
     """The heat kernel signature."""
     times = heat_times(studio.exact, 60)
-    viz.plot_signatures(
+    show.plot_signatures(
         studio.path("signatures.png"),
         studio.animal,
         heat_kernel_signature(studio.exact, times),
         times,
         points=farthest_points(studio.exact, 5),
-        page=viz.Page("Heat kernel signature", dpi=studio.dpi),
+        page=show.Page("Heat kernel signature", dpi=studio.dpi),
     )
 
 
 def distance(studio: Studio) -> None:
     """Geodesic distances from the nose."""
     field = sk.HeatGeodesics(studio.animal, studio.exact).distance(studio.nose)
-    viz.plot_distance(
+    show.plot_distance(
         studio.path("distance.png"),
         studio.animal,
         field.distance,
         sources=studio.animal.points[[studio.nose]],
-        page=viz.Page("Geodesic distances by the heat method", dpi=studio.dpi),
+        page=show.Page("Geodesic distances by the heat method", dpi=studio.dpi),
     )
 
 
 def match(studio: Studio) -> None:
     """A map between two poses."""
     source, target, found = studio.pair
-    viz.plot_correspondence(
+    show.plot_correspondence(
         studio.path("match.png"),
         source,
         target,
         found.point_map,
         transfer="texture",
         names=("source", "target, textured by the map"),
-        view=viz.View("z"),
-        page=viz.Page(dpi=studio.dpi),
+        view=show.View("z"),
+        page=show.Page(dpi=studio.dpi),
     )
 
 
 def animation(studio: Studio) -> None:
     """Modes that swing."""
-    viz.animate_modes(
+    show.animate_modes(
         studio.path("modes.gif"), studio.animal, studio.exact, modes=(2, 8, 20), width=320
     )
 
@@ -211,13 +211,13 @@ def animation(studio: Studio) -> None:
 def real_modes(studio: Studio) -> None:
     """A gallery of modes of a toy."""
     mesh = studio.shape("koala")
-    viz.plot_modes(
+    show.plot_modes(
         studio.path("real_modes.png"),
         mesh,
         sk.eigensolve(sk.robust_laplacian(mesh), 40),
         modes=(1, 5, 12, 33),
         columns=4,
-        page=viz.Page("Modes of a koala of 49,999 vertices", dpi=studio.dpi),
+        page=show.Page("Modes of a koala of 49,999 vertices", dpi=studio.dpi),
     )
 
 
@@ -226,16 +226,16 @@ def real_comparison(studio: Studio) -> None:
     mesh = studio.shape("spot")
     laplacian = sk.robust_laplacian(mesh)
     exact, predicted = (sk.eigensolve(laplacian, 40, s) for s in (sk.Arpack(), sk.Neo()))
-    viz.plot_comparison(
+    show.plot_comparison(
         studio.path("real_comparison.png"),
         mesh,
         exact,
         predicted,
         compare_spectra(exact, predicted),
         modes=(20,),
-        view=viz.View(turn=150),
+        view=show.View(turn=150),
         names=("exact: Arpack()", "predicted: Neo()"),
-        page=viz.Page(dpi=studio.dpi),
+        page=show.Page(dpi=studio.dpi),
     )
 
 
@@ -243,12 +243,12 @@ def real_distance(studio: Studio) -> None:
     """Geodesic distances on a tool that was scanned."""
     mesh = studio.shape("hammer")
     source = int(mesh.points[:, 1].argmax())
-    viz.plot_distance(
+    show.plot_distance(
         studio.path("real_distance.png"),
         mesh,
         sk.HeatGeodesics(mesh).distance(source).distance,
         sources=mesh.points[[source]],
-        page=viz.Page("Distances on a scanned hammer", dpi=studio.dpi),
+        page=show.Page("Distances on a scanned hammer", dpi=studio.dpi),
     )
 
 
@@ -273,7 +273,7 @@ def pareto(studio: Studio) -> None:
         exact = f"to {method['stops_at']}" if method["stops_at"] else "approximate"
         time, error = one["slowdown"], one["eigenvalue_error"]
         points.append(
-            viz.ParetoPoint(
+            show.ParetoPoint(
                 name=one["method"],
                 group="other packages" if method["peer"] else exact,
                 seconds=time["mean"],
@@ -281,12 +281,12 @@ def pareto(studio: Studio) -> None:
                 worst=(time["worst"], error["worst"]),
             )
         )
-    viz.plot_pareto(
+    show.plot_pareto(
         studio.path("pareto.png"),
         points,
         xlabel="time, eigsh = 1: geometric mean; bars lead to the worst",
         ylabel="mean relative error of the eigenvalues",
-        page=viz.Page(
+        page=show.Page(
             "Which solver when",
             f"{record['settings']['k']} modes of {found[0]['members']} real meshes and clouds;"
             f" {machine['cores']} cores, {machine['accelerator'] or 'no GPU'}",

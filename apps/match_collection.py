@@ -27,10 +27,9 @@ from measure.store import code_digest
 from tqdm import tqdm
 
 from spectra_kit import prepare, spectrum
-from spectra_kit._types import Floats
-from spectra_kit.correspondence import geodesic_errors
+from spectra_kit._core.types import Floats
 from spectra_kit.errors import DoubtfulMatchWarning
-from spectra_kit.matching import Collection, match_collection
+from spectra_kit.maps import Collection, geodesic_errors, match_collection
 
 _MODES = 150
 _RIGHT = 8.0

@@ -33,9 +33,9 @@ from measure.worker import Clocked, clocked
 from scipy.spatial import cKDTree
 
 from spectra_kit import match, prepare, spectrum
-from spectra_kit._types import Ints
-from spectra_kit.correspondence import Truth, geodesic_errors
+from spectra_kit._core.types import Ints
 from spectra_kit.errors import DoubtfulMatchWarning
+from spectra_kit.maps import Truth, geodesic_errors
 
 _MODES = 150
 _THINNED = 10  # landmarks for each that is measured: a way along 200,000 vertices takes its time

@@ -41,8 +41,8 @@ from measure.matching.protocols import PROTOCOLS
 from measure.matching.report import Matched, draw_extremes, write_report
 from measure.matching.sets import PairSet, demo_set, pair_sets, triangulated_sets
 
+from spectra_kit._core.threads import usable_cores
 from spectra_kit.errors import MissingDependencyError
-from spectra_kit.linalg.threads import usable_cores
 
 DEFAULT = next(iter(METHODS))
 _FEW = 5  # pairs in six triangulations, where no other number is asked for

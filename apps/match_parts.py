@@ -36,9 +36,8 @@ from measure.shapes import data_folder
 from measure.store import Store, code_digest
 
 from spectra_kit import prepare, spectrum
-from spectra_kit.correspondence import geodesic_distances
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
-from spectra_kit.matching import match_part
+from spectra_kit.maps import geodesic_distances, match_part
 
 _MODES = 200
 

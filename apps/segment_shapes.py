@@ -26,8 +26,8 @@ from measure.learning.segmentation import Parts, segment_all
 from measure.learning.segmented_report import draw_extremes, write_report
 from measure.shapes import data_folder
 
+from spectra_kit._core.threads import usable_cores
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
-from spectra_kit.linalg.threads import usable_cores
 
 
 def _parser() -> argparse.ArgumentParser:

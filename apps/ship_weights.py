@@ -11,9 +11,9 @@ import torch
 from measure.command import exit_code, parser_of
 from safetensors.torch import save_file
 
-from spectra_kit._files import atomic_path
+from spectra_kit._core.files import atomic_path
+from spectra_kit.eigen.subspaces.frame import canonical_frame
 from spectra_kit.neo.pretrained import load_pretrained, save_weights
-from spectra_kit.subspaces.frame import canonical_frame
 
 ROOT = Path(__file__).parents[1]
 

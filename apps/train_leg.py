@@ -110,8 +110,8 @@ def _train(args: argparse.Namespace, began: float) -> None:
     from legs.leg import begun_leg
     from legs.phase import Place, run_phase
 
+    from spectra_kit._core.threads import usable_cores
     from spectra_kit.errors import InvalidInputError
-    from spectra_kit.linalg.threads import usable_cores
 
     if args.last and args.phase_minutes is None:
         raise InvalidInputError("`--last` ends the leg with this phase; give --phase-minutes too")

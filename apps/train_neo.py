@@ -15,21 +15,21 @@ from make_corpus import add_corpus_options, corpus_config
 from measure.command import exit_code
 from tqdm import tqdm
 
-from spectra_kit._validate import check_count
-from spectra_kit.eigensolvers import Neo
+from spectra_kit._core.validate import check_count
+from spectra_kit.eigen import Neo
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.model import NeoConfig, NeoNetwork
 from spectra_kit.neo.pretrained import find_weights, load_pretrained, save_weights
-from spectra_kit.training import checkpoint
-from spectra_kit.training.batches import window
-from spectra_kit.training.config import TrainConfig
-from spectra_kit.training.corpus import read_fingerprint
-from spectra_kit.training.evaluation import errors_of, typical
-from spectra_kit.training.log import Row
-from spectra_kit.training.ranks import Ranks, process_group
-from spectra_kit.training.shards import Corpus, join, open_shards
-from spectra_kit.training.stream import SampleStream
-from spectra_kit.training.train import TrainResult, train, validate
+from spectra_kit.neo.train import checkpoint
+from spectra_kit.neo.train.batches import window
+from spectra_kit.neo.train.config import TrainConfig
+from spectra_kit.neo.train.corpus import read_fingerprint
+from spectra_kit.neo.train.evaluation import errors_of, typical
+from spectra_kit.neo.train.log import Row
+from spectra_kit.neo.train.ranks import Ranks, process_group
+from spectra_kit.neo.train.shards import Corpus, join, open_shards
+from spectra_kit.neo.train.stream import SampleStream
+from spectra_kit.neo.train.train import TrainResult, train, validate
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -10,7 +10,7 @@ from pydoc import locate
 from numpydoc.xref import DEFAULT_LINKS
 
 import spectra_kit
-from spectra_kit._version import VERSION
+from spectra_kit._core.version import VERSION
 
 sys.path.insert(0, str(Path(__file__).parent / "extensions"))
 for page in Path(__file__).parent.glob("api/generated/*.rst"):  # of a build before

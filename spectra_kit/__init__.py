@@ -30,7 +30,7 @@ from typing import Any as _Any
 
 import lazy_loader
 
-from spectra_kit._version import VERSION
+from spectra_kit._core.version import VERSION
 
 __version__ = VERSION
 

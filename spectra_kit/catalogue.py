@@ -33,7 +33,7 @@ class Entry:
     summary : str
         What it is, in a few words.
     promise : {"exact", "to tolerance", "approximate", ""}
-        Of a solver: what its answers are by default; see `eigensolvers.Eigensolver`.
+        Of a solver: what its answers are by default; see `eigen.Eigensolver`.
     """
 
     maker: str
@@ -59,7 +59,7 @@ def _table(module: str, **entries: tuple[str, ...]) -> Mapping[str, Entry]:
 
 #: Those that are exact, or go on to a tolerance, come first.
 SOLVERS = _table(
-    "eigensolvers",
+    "eigen",
     automatic=("automatic:Automatic", "the cheapest for an accuracy", "exact"),
     arpack=("arpack:Arpack", "Lanczos on a sparse factor", "exact"),
     refined=(
@@ -83,15 +83,15 @@ OPERATORS = _table(
 
 SUBSPACES = MappingProxyType(
     {
-        "fourier": Entry("subspaces:AmbientFourier", "plane waves"),
+        "fourier": Entry("eigen.subspaces:AmbientFourier", "plane waves"),
         "neo": Entry("neo:NeoSubspace", "what the network predicts"),
-        "random": Entry("subspaces:RandomBasis", "white noise"),
-        "given": Entry("subspaces:GivenBasis", "columns that are there"),
+        "random": Entry("eigen.subspaces:RandomBasis", "white noise"),
+        "given": Entry("eigen.subspaces:GivenBasis", "columns that are there"),
     }
 )
 
 DESCRIPTORS = _table(
-    "descriptors",
+    "features",
     heat=("heat:heat_kernel_signature", "heat that is left where it was put, over time"),
     wave=("wave:wave_kernel_signature", "where a particle of some energy is found"),
     gps=("distances:global_point_signature", "modes over the roots of their eigenvalues"),

@@ -183,7 +183,7 @@ class ConvergenceError(_PartialError, RuntimeError):
     ----------
     partial : Spectrum or LinearSolution or None
         From `eigensolve`: the modes there were, certified, so that each tells how far it came; None
-        where there were none. From `linalg.pcg`: the last iterate, with its residuals.
+        where there were none. From `_sparse.pcg`: the last iterate, with its residuals.
     n_converged : int or None
         From `eigensolve`: how many modes of `partial` had reached the tolerance.
     """

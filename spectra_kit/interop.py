@@ -20,15 +20,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg, sparse
 
-from spectra_kit._checked import checked
-from spectra_kit._types import Floats
-from spectra_kit._validate import as_array, check_mass, quantity, warn
+from spectra_kit._core.checked import checked
+from spectra_kit._core.types import Floats
+from spectra_kit._core.validate import as_array, check_mass, quantity, warn
+from spectra_kit.eigen import Provenance, Spectrum
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
-from spectra_kit.functional_maps.checks import check_functional_map
 from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.maps.checks import check_functional_map
 from spectra_kit.operators.laplacian import Laplacian, lumped_diagonal
 from spectra_kit.operators.tangent import TangentGradient
-from spectra_kit.spectra import Provenance, Spectrum
 
 if TYPE_CHECKING:
     import torch
@@ -305,7 +305,7 @@ def to_pyfm_map(functional_map: ArrayLike, source: Spectrum, target: Spectrum) -
     Parameters
     ----------
     functional_map : array_like of shape (k2, k1)
-        Source coefficients to target coefficients, at unit area, as of `functional_maps` and
+        Source coefficients to target coefficients, at unit area, as of `maps` and
         `Match`.
     source, target : Spectrum
         Whose modes it is in, in the units in which pyFM has them, as `to_pyfm` hands them over.
@@ -323,7 +323,7 @@ def to_pyfm_map(functional_map: ArrayLike, source: Spectrum, target: Spectrum) -
     Notes
     -----
     ``FM_to_p2p(..., use_adj=True)`` of it is the point map that
-    `functional_maps.point_map_from_functional_map` finds with ``adjoint=True``. Without, which is
+    `maps.point_map_from_functional_map` finds with ``adjoint=True``. Without, which is
     pyFM's default, it compares rows whose lengths differ by ``target.area / source.area``, and
     finds other points, the more the further areas are apart: give it surfaces of one area, by
     ``spectrum.rescale(spectrum.area**-0.5)``. Neither need be the ``point_map`` of a `Match`, which

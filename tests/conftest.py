@@ -33,7 +33,7 @@ from spectra_kit import (
     robust_laplacian,
 )
 from spectra_kit.catalogue import SOLVERS
-from spectra_kit.eigensolvers import Eigensolver
+from spectra_kit.eigen import Eigensolver
 from spectra_kit.geometry import rectangle, sphere, torus
 
 
@@ -231,8 +231,8 @@ def ellipsoids(n, seed):
 
 @contextmanager
 def produced_here(config, indices, workers):
-    """Make the samples of a stream in this process, in place of `training.corpus.produced`."""
-    from spectra_kit.training.corpus import packed_sample
+    """Make the samples of a stream in this process, in place of `neo.train.corpus.produced`."""
+    from spectra_kit.neo.train.corpus import packed_sample
 
     yield (packed_sample(config, index) for index in indices)
 

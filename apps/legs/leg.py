@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from spectra_kit._files import atomic_path, parsing
+from spectra_kit._core.files import atomic_path, parsing
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo import WEIGHTS, NeoConfig, load_pretrained
-from spectra_kit.training.config import TrainConfig
+from spectra_kit.neo.train.config import TrainConfig
 
 _SEED = 1_000_000
 

@@ -55,7 +55,7 @@ def use_wheels(folder: Path) -> None:
 
 def pack_pools(meshes: Path, folder: Path) -> list[Path]:
     """Write each split of a folder of real meshes into one small file."""
-    from spectra_kit.training.pool import pack_pool
+    from spectra_kit.neo.train.pool import pack_pool
 
     folder.mkdir(parents=True, exist_ok=True)
     files = []

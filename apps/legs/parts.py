@@ -8,9 +8,9 @@ from typing import Any
 from torch import Tensor
 from torch.utils._pytree import tree_map_only
 
-from spectra_kit._files import atomic_path
+from spectra_kit._core.files import atomic_path
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.training.checkpoint import NAME, packed, unpacked
+from spectra_kit.neo.train.checkpoint import NAME, packed, unpacked
 
 _PARTS = "checkpoint.[0-9][0-9]of[0-9][0-9]"
 

@@ -19,14 +19,14 @@ from legs.packing import POOL
 from legs.parts import read_parts, write_parts
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo import NeoNetwork, Pretrained, build_network, load_pretrained, save_weights
-from spectra_kit.training import checkpoint
-from spectra_kit.training.config import TrainConfig
-from spectra_kit.training.corpus import generate
-from spectra_kit.training.log import Row
-from spectra_kit.training.samples import CorpusConfig
-from spectra_kit.training.shards import Corpus, open_shards
-from spectra_kit.training.stream import SampleStream
-from spectra_kit.training.train import TrainResult, train, validate
+from spectra_kit.neo.train import checkpoint
+from spectra_kit.neo.train.config import TrainConfig
+from spectra_kit.neo.train.corpus import generate
+from spectra_kit.neo.train.log import Row
+from spectra_kit.neo.train.samples import CorpusConfig
+from spectra_kit.neo.train.shards import Corpus, open_shards
+from spectra_kit.neo.train.stream import SampleStream
+from spectra_kit.neo.train.train import TrainResult, train, validate
 
 _FIRST = 2**20  # samples between the numbers of one phase and the next
 _VALIDATION_SEED = 2_000_003  # no sample is in both

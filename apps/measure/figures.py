@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spectra_kit._files import atomic_path
-from spectra_kit.viz import Page, ParetoPoint, pareto_front, plot_pareto
-from spectra_kit.viz.axes import LINE_COLOURS
+from spectra_kit._core.files import atomic_path
+from spectra_kit.show import Page, ParetoPoint, pareto_front, plot_pareto
+from spectra_kit.show.axes import LINE_COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,7 +39,7 @@ def undominated(points: Iterable[ParetoPoint], *, floor: float = ROUNDING) -> se
 def draw_pareto(
     path: Path, points: Sequence[ParetoPoint], *, title: str = "", **options: Any
 ) -> Path:
-    """Draw errors against seconds and a front for each league; see `viz.plot_pareto`."""
+    """Draw errors against seconds and a front for each league; see `show.plot_pareto`."""
     plot_pareto(path, points, floor=ROUNDING, page=Page(title, dpi=_DPI), **options)
     return path
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import spectra_kit
 from measure.store import Record, code_digest
-from spectra_kit._version import VERSION
+from spectra_kit._core.version import VERSION
 
 _PACKAGES = (
     *("numpy", "scipy", "torch", "numba", "libigl", "potpourri3d"),

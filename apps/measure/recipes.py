@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from measure.shapes import Shape, data_folder, shape_at
-from spectra_kit._fingerprint import arrays_digest
+from spectra_kit._core.fingerprint import arrays_digest
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import (
     GaussianDensity,

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from spectra_kit._files import atomic_path, parsing
-from spectra_kit._fingerprint import arrays_digest
+from spectra_kit._core.files import atomic_path, parsing
+from spectra_kit._core.fingerprint import arrays_digest
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import TriangleMesh, creature, read, repair
 from spectra_kit.geometry.io import READERS

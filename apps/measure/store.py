@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import spectra_kit
-from spectra_kit._version import VERSION
+from spectra_kit._core.version import VERSION
 from spectra_kit.errors import InvalidInputError
 
 Record = dict[str, Any]

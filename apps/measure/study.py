@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from measure.store import Record, Store, code_digest
 from measure.worker import FailedError, Limits, Pool, StoppedError
-from spectra_kit._fingerprint import facts_digest
+from spectra_kit._core.fingerprint import facts_digest
 
 Contender = TypeVar("Contender")
 Problem = TypeVar("Problem")

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from spectra_kit._files import atomic_path
+from spectra_kit._core.files import atomic_path
 
 NONE = "-"
 

@@ -5,20 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import get_args
 
-from spectra_kit._display import printable
-from spectra_kit._validate import quantity
-from spectra_kit.batch import compute_all, find_inputs, write_table
-from spectra_kit.batch.table import check_columns
+from spectra_kit._core.records import printable
+from spectra_kit._core.validate import quantity
 from spectra_kit.cli import program
 from spectra_kit.cli.options import refuse_given
 from spectra_kit.cli.output import check_output, tell
 from spectra_kit.cli.progress import counted
 from spectra_kit.cli.solving import check_solvers, make_solver
 from spectra_kit.cli.workers import engine_of, part_of, running, tell_run
+from spectra_kit.datasets import Plan, SpectrumStore, compute_all, find_inputs, write_table
+from spectra_kit.datasets.files import MARK
+from spectra_kit.datasets.plan import Descriptor
+from spectra_kit.datasets.table import check_columns
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.store import Plan, SpectrumStore
-from spectra_kit.store.files import MARK
-from spectra_kit.store.plan import Descriptor
 
 
 def batch(asked: program.Batch) -> None:

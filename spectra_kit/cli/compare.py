@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from spectra_kit._validate import check_count
+from spectra_kit._core.validate import check_count
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.inputs import prepare
 from spectra_kit.cli.options import PICTURES, Predictor, refuse_given
@@ -20,11 +20,10 @@ from spectra_kit.cli.solving import (
     shown_modes,
     solve,
 )
-from spectra_kit.eigensolvers import Eigensolver, Neo, RayleighRitz
-from spectra_kit.metrics import Comparison, compare_spectra, subspace_span_error
+from spectra_kit.eigen import Eigensolver, Neo, RayleighRitz, Spectrum
+from spectra_kit.eigen.metrics import Comparison, compare_spectra, subspace_span_error
+from spectra_kit.eigen.subspaces import Subspace
 from spectra_kit.operators import Laplacian
-from spectra_kit.spectra import Spectrum
-from spectra_kit.subspaces import Subspace
 
 _DRAWN = (1, 2, 5, 10, 25)
 _SMALL = 1e-3  # relative residuals up to here are exact; a solver may be asked for less
@@ -42,7 +41,7 @@ def compare(asked: program.Compare) -> None:
     shown = shown_modes(asked.modes, (*SHOWN, k - 1), k)
 
     def draw(path: Path) -> None:
-        from spectra_kit.viz import Page, View, plot_comparison
+        from spectra_kit.show import Page, View, plot_comparison
 
         first = max(comparison.n_zero_modes - 1, 0)  # one constant function per component is dull
         notes = [tables.comparison_line(comparison), *pair.cautions]

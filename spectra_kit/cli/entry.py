@@ -10,9 +10,9 @@ import traceback
 from collections.abc import Callable, Sequence
 from typing import Any, TextIO
 
-from spectra_kit._display import printable
-from spectra_kit._files import naming
-from spectra_kit._version import VERSION
+from spectra_kit._core.files import naming
+from spectra_kit._core.records import printable
+from spectra_kit._core.version import VERSION
 from spectra_kit.cli.help import help_text
 from spectra_kit.cli.options import refuse_unused
 from spectra_kit.cli.program import NAMED, UsageError, parse

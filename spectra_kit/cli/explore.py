@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from spectra_kit._validate import check_count, quantity
+from spectra_kit._core.validate import check_count, quantity
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.compare import check_pair, compared, name_of, named_record, reference_modes
 from spectra_kit.cli.inputs import prepare
@@ -12,8 +12,8 @@ from spectra_kit.cli.options import refuse_given
 from spectra_kit.cli.output import check_output, tell
 from spectra_kit.cli.progress import counted, say
 from spectra_kit.cli.words import stem
-from spectra_kit.explorer import Explorer, write_explorer
-from spectra_kit.viz import View
+from spectra_kit.show import View
+from spectra_kit.show.explorer import Explorer, write_explorer
 
 
 def explore(asked: program.Explore) -> None:
@@ -72,7 +72,7 @@ def explore(asked: program.Explore) -> None:
     if not asked.serve:
         told()
         return
-    from spectra_kit.explorer.serve import serve
+    from spectra_kit.show.explorer.serve import serve
 
     serve(page, port=asked.port, open_browser=not asked.no_browser, ready=told)
 

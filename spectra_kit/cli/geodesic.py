@@ -6,7 +6,7 @@ from typing import cast
 
 import numpy as np
 
-from spectra_kit._validate import check_positive, quantity
+from spectra_kit._core.validate import check_positive, quantity
 from spectra_kit.cli import geodesic_setup as setup
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.geodesic_compare import Compared, clock_note, compare_solvers, comparison_table
@@ -14,6 +14,7 @@ from spectra_kit.cli.inputs import load
 from spectra_kit.cli.output import as_json, check_folder, drawing, tell, together
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.words import stem
+from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import DistanceField, FacePoint, HeatGeodesics, Iterative
 from spectra_kit.geodesics.heat import exact_field
@@ -21,9 +22,8 @@ from spectra_kit.geodesics.sources import check_sources
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.geometry.formats import ply
 from spectra_kit.operators import IntrinsicTriangulation, intrinsic_delaunay
-from spectra_kit.spectra import Spectrum
-from spectra_kit.viz import Page, View, plot_convergence, plot_distance
-from spectra_kit.viz.colours import distance_colours
+from spectra_kit.show import Page, View, plot_convergence, plot_distance
+from spectra_kit.show.colours import distance_colours
 
 _NUMBERS = ("distance.npy", "distance.ply", "report.json")
 _PICTURES = ("field.png", "convergence.png")

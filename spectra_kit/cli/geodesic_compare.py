@@ -9,18 +9,18 @@ from typing import cast
 
 import numpy as np
 
-from spectra_kit._types import Floats
+from spectra_kit._core.types import Floats
+from spectra_kit._sparse.solution import LinearSolution
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.geodesic_setup import number_of_modes
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.solving import solve
+from spectra_kit.eigen import Spectrum
 from spectra_kit.geodesics import Direct, HeatGeodesics, Iterative
 from spectra_kit.geodesics.sources import Sources
 from spectra_kit.geometry import Geometry, TriangleMesh
-from spectra_kit.linalg.solution import LinearSolution
 from spectra_kit.operators import IntrinsicTriangulation
-from spectra_kit.spectra import Spectrum
-from spectra_kit.viz import SolverRun
+from spectra_kit.show import SolverRun
 
 _MODES = 96  # as many as the NEO paper takes
 _REPEATS = 2  # of everything, by turns; the faster counts, in which all is loaded and compiled

@@ -7,17 +7,17 @@ from typing import Literal
 
 import numpy as np
 
-from spectra_kit._types import Floats
-from spectra_kit._validate import check_count, check_indices
+from spectra_kit._core.types import Floats
+from spectra_kit._core.validate import check_count, check_indices
 from spectra_kit.cli import program
 from spectra_kit.cli.inputs import Numbering
 from spectra_kit.cli.options import DEMO, NETWORK, refuse_given
 from spectra_kit.cli.solving import check_solvers, refuse_solving, solve
+from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import Automatic, Direct, FacePoint, Iterative, nearest_source
 from spectra_kit.geometry import Geometry
 from spectra_kit.operators import Laplacian
-from spectra_kit.spectra import Spectrum
 
 Source = int | FacePoint
 Solver = Automatic | Direct | Iterative

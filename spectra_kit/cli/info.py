@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from contextlib import nullcontext
 
-from spectra_kit._validate import hearing
+from spectra_kit._core.validate import hearing
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.inputs import assemble, load
 from spectra_kit.cli.output import tell

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from spectra_kit._types import Ints
-from spectra_kit._validate import check_count, quantity
+from spectra_kit._core.types import Ints
+from spectra_kit._core.validate import check_count, quantity
 from spectra_kit.cli.options import DEMO, FORMATS, OnOne, Operator, Reading
 from spectra_kit.cli.progress import say, step
 from spectra_kit.errors import InvalidFileError, InvalidInputError

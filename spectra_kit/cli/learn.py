@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from spectra_kit._display import printable
-from spectra_kit._validate import check_count
+from spectra_kit._core.records import printable
+from spectra_kit._core.validate import check_count
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.inputs import load
 from spectra_kit.cli.options import PICTURES
@@ -15,10 +15,10 @@ from spectra_kit.cli.output import check_output, tell_with_picture
 from spectra_kit.cli.progress import counted, say, step
 from spectra_kit.cli.solving import check_solvers, make_solver
 from spectra_kit.cli.words import stem, told
-from spectra_kit.embeddings import ShapeDNA, WaveSignature
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.features import ShapeDNA, WaveSignature
 from spectra_kit.geometry import Geometry, PointCloud
-from spectra_kit.learning import (
+from spectra_kit.learn import (
     Recipe,
     Segmentation,
     Segmenter,
@@ -78,7 +78,7 @@ def similar(asked: program.Similar) -> None:
     lines = "\n".join(f"{near.distance:8.3f}  {printable(near.name)}" for near in found)
 
     def draw(path: Path) -> None:
-        from spectra_kit.viz import Page, Portrait, View, plot_portraits
+        from spectra_kit.show import Page, Portrait, View, plot_portraits
 
         portraits = [Portrait(geometry=shape, lines=(stem(asked.file), "asked for"))]
         for near in found:
@@ -148,7 +148,7 @@ def label(asked: program.Label) -> None:
     record["output"] = asked.output
 
     def draw(path: Path) -> None:
-        from spectra_kit.viz import Page, Portrait, View, plot_portraits
+        from spectra_kit.show import Page, Portrait, View, plot_portraits
 
         portrait = Portrait(geometry=shape, labels=found.labels, lines=(stem(asked.file),))
         page = Page(dpi=asked.dpi)
@@ -170,7 +170,7 @@ def _nothing(path: Path) -> None:
 
 
 def _write(path: Path, found: Segmentation) -> None:
-    from spectra_kit._files import atomic_path
+    from spectra_kit._core.files import atomic_path
 
     arrays = {"labels": found.labels, "scores": found.scores, "names": np.array(found.names)}
     if found.face_labels is not None:

@@ -11,8 +11,8 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from spectra_kit._types import Ints
-from spectra_kit._validate import check_indices
+from spectra_kit._core.types import Ints
+from spectra_kit._core.validate import check_indices
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.inputs import Numbering, assemble, load
 from spectra_kit.cli.options import DEMO, refuse_given
@@ -20,29 +20,33 @@ from spectra_kit.cli.output import as_json, check_folder, drawing, tell, togethe
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.solving import check_solvers, solve
 from spectra_kit.cli.words import stem
-from spectra_kit.correspondence import (
+from spectra_kit.eigen import Spectrum
+from spectra_kit.errors import InvalidFileError, InvalidInputError
+from spectra_kit.geometry import Geometry, TriangleMesh, creature_pair, write
+from spectra_kit.geometry.formats._arrays import whole
+from spectra_kit.geometry.formats._text import text_lines
+from spectra_kit.geometry.formats.numpy_arrays import read_npy
+from spectra_kit.maps import (
     MapErrors,
+    Match,
+    Prepared,
     Truth,
     auc,
     bijectivity_errors,
     coverage,
     dirichlet_energy,
     map_errors,
+    match,
+    match_part,
     orientation,
+    prepare,
     way_back,
 )
-from spectra_kit.errors import InvalidFileError, InvalidInputError
-from spectra_kit.geometry import Geometry, TriangleMesh, creature_pair, write
-from spectra_kit.geometry.formats._arrays import whole
-from spectra_kit.geometry.formats._text import text_lines
-from spectra_kit.geometry.formats.numpy_arrays import read_npy
-from spectra_kit.matching import Match, Prepared, match, match_part, prepare
-from spectra_kit.matching.prepare import LOWEST_K
-from spectra_kit.matching.result import Doubt
+from spectra_kit.maps.prepare import LOWEST_K
+from spectra_kit.maps.result import Doubt
 from spectra_kit.operators import Laplacian
 from spectra_kit.operators.oriented import oriented_triangles
-from spectra_kit.spectra import Spectrum
-from spectra_kit.viz import Page, View, plot_correspondence, plot_error_curves, plot_functional_map
+from spectra_kit.show import Page, View, plot_correspondence, plot_error_curves, plot_functional_map
 
 _MAPS = ("point_map.npy", "functional_map.npy", "report.json")
 _COVERED, _PRECISE = "covered.npy", "precise_map.npz"

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from spectra_kit.batch import Matching, write_match_table
-from spectra_kit.batch.match_table import OF_PAIRS
-from spectra_kit.batch.pairs import only_plan, pairs_of, records_of
-from spectra_kit.batch.run_pairs import match_records
-from spectra_kit.batch.table import check_columns
-from spectra_kit.batch.together import OF_COLLECTED, collected
 from spectra_kit.cli import program
 from spectra_kit.cli.match import MIRRORED
 from spectra_kit.cli.options import refuse_given
 from spectra_kit.cli.output import check_output
 from spectra_kit.cli.workers import engine_of, part_of, running, tell_run
+from spectra_kit.datasets import Matching, SpectrumStore, write_match_table
+from spectra_kit.datasets.collected import OF_COLLECTED, collected
+from spectra_kit.datasets.files import MARK
+from spectra_kit.datasets.match_table import OF_PAIRS
+from spectra_kit.datasets.pairs import only_plan, pairs_of, records_of
+from spectra_kit.datasets.run_pairs import match_records
+from spectra_kit.datasets.table import check_columns
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.matching.prepare import LOWEST_K
-from spectra_kit.store import SpectrumStore
-from spectra_kit.store.files import MARK
+from spectra_kit.maps.prepare import LOWEST_K
 
 _OF_WORKERS = ("nworkers", "nthreads", "memory_limit", "scheduler", "scheduler_file", "shard")
 

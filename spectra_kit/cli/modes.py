@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from spectra_kit._validate import check_count, check_positive, quantity
+from spectra_kit._core.validate import check_count, check_positive, quantity
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.inputs import prepare
 from spectra_kit.cli.options import PICTURES
@@ -18,11 +18,10 @@ from spectra_kit.cli.solving import (
     shown_modes,
     solve,
 )
-from spectra_kit.eigensolvers import verify
+from spectra_kit.eigen import Spectrum, verify
 from spectra_kit.errors import ConvergenceError, OutOfMemoryError
 from spectra_kit.geometry import Geometry
 from spectra_kit.operators import Laplacian
-from spectra_kit.spectra import Spectrum
 
 
 def spectrum(asked: program.Spectrum) -> None:
@@ -50,8 +49,8 @@ def spectrum(asked: program.Spectrum) -> None:
             found.save(output)
 
     def draw(path: Path) -> None:
-        from spectra_kit.viz import Page, plot_spectrum
-        from spectra_kit.viz.spectra import free_boundary
+        from spectra_kit.show import Page, plot_spectrum
+        from spectra_kit.show.spectra import free_boundary
 
         page = Page(tables.title(asked.file, geometry), dpi=asked.dpi)
         plot_spectrum(path, found, free_boundary=free_boundary(geometry, found), page=page)
@@ -87,7 +86,7 @@ def modes(asked: program.Modes) -> None:
     if asked.columns is not None:
         check_count("--columns", asked.columns, low=1)
     geometry, laplacian, spectrum, shown = _to_show(asked, PICTURES, 12)
-    from spectra_kit.viz import Page, View, plot_modes
+    from spectra_kit.show import Page, View, plot_modes
 
     with step(f"drawing {quantity(len(shown), 'mode')}"):
         plot_modes(
@@ -109,7 +108,7 @@ def animate(asked: program.Animate) -> None:
     check_count("--fps", asked.fps, low=1)
     check_count("--width", asked.width, low=16)
     geometry, laplacian, spectrum, shown = _to_show(asked, (".gif", ".mp4"), 6)
-    from spectra_kit.viz import View, animate_modes
+    from spectra_kit.show import View, animate_modes
 
     with counted(f"drawing {quantity(len(shown), 'mode')}", "frame") as progress:
         animate_modes(

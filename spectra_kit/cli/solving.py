@@ -7,17 +7,16 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from spectra_kit._validate import check_count, quantity
+from spectra_kit._core.validate import check_count, quantity
 from spectra_kit.catalogue import SOLVERS, SUBSPACES
 from spectra_kit.cli.options import NETWORK, Solver, refuse_given
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.words import listed
-from spectra_kit.eigensolvers import Eigensolver, Neo, eigensolve
-from spectra_kit.eigensolvers.starts import plane_waves
+from spectra_kit.eigen import Eigensolver, Neo, Spectrum, eigensolve
+from spectra_kit.eigen.starts import plane_waves
+from spectra_kit.eigen.subspaces import Subspace
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.operators import Laplacian
-from spectra_kit.spectra import Spectrum
-from spectra_kit.subspaces import Subspace
 
 # Both sides of a comparison are solved for a few modes more: pushed-out modes are found again,
 # and a cluster that k cuts is known as one.

@@ -9,16 +9,16 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from spectra_kit._display import printable
-from spectra_kit._validate import quantity
-from spectra_kit.batch import BatchReport, DaskEngine, Engine, shard
-from spectra_kit.batch.inputs import Named
-from spectra_kit.batch.spared import Spared
+from spectra_kit._core.records import printable
+from spectra_kit._core.validate import quantity
 from spectra_kit.cli import program
 from spectra_kit.cli.options import refuse_given
 from spectra_kit.cli.output import tell
 from spectra_kit.cli.progress import counted, say
 from spectra_kit.cli.words import told
+from spectra_kit.datasets import BatchReport, DaskEngine, Engine, shard
+from spectra_kit.datasets.inputs import Named
+from spectra_kit.datasets.spared import Spared
 from spectra_kit.errors import InvalidInputError
 
 _NAMED = 3  # names that a line tells

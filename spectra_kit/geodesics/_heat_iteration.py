@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from spectra_kit._types import Floats
+from spectra_kit._core.types import Floats
 from spectra_kit.geodesics._kernels import residual, scaled_entries, solve_scaled
 
 Ints = NDArray[np.int32]

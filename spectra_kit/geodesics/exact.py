@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from spectra_kit._checked import checked
-from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import check_indices
+from spectra_kit._core.checked import checked
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import check_indices
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geodesics.sources import SourcesLike, check_sources
 from spectra_kit.geometry import TriangleMesh
@@ -70,7 +70,7 @@ def exact_distances(
     --------
     geodesic_distance : By the heat method: quick, smooth, a per cent or two off.
     spectral_distance : By modes alone.
-    spectra_kit.correspondence.geodesic_distances : Between pairs, along edges or exact.
+    spectra_kit.maps.geodesic_distances : Between pairs, along edges or exact.
 
     Notes
     -----

@@ -11,10 +11,15 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spectra_kit._checked import checked
-from spectra_kit._clock import Clock
-from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import check_positive, frozen, warn
+from spectra_kit._core.checked import checked
+from spectra_kit._core.clock import Clock
+from spectra_kit._core.threads import in_threads, ranges, thread_count
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import check_positive, frozen, warn
+from spectra_kit._sparse.constant_kernel import ConstantKernel
+from spectra_kit._sparse.grounded import GroundedCholesky
+from spectra_kit._sparse.solution import LinearSolution
+from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import ConvergenceError, DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.exact import exact_distances
 from spectra_kit.geodesics.heat_step import Heat, HeatStep
@@ -31,12 +36,7 @@ from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
 from spectra_kit.geodesics.system import COARSER, System
 from spectra_kit.geometry.seams import warn_of_seams
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.linalg.constant_kernel import ConstantKernel
-from spectra_kit.linalg.grounded import GroundedCholesky
-from spectra_kit.linalg.solution import LinearSolution
-from spectra_kit.linalg.threads import in_threads, ranges, thread_count
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
-from spectra_kit.spectra import Spectrum
 
 Boundary = Literal["neumann", "dirichlet", "average"]
 
@@ -601,7 +601,7 @@ def geodesic_distance(
     --------
     exact_distances : Of the polyhedron, exactly.
     spectral_distance : Roughly, from modes alone.
-    spectra_kit.correspondence.geodesic_distances : Between pairs of vertices, along edges.
+    spectra_kit.maps.geodesic_distances : Between pairs of vertices, along edges.
 
     Examples
     --------

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from spectra_kit._checked import checked
-from spectra_kit._clock import Clock
-from spectra_kit._types import Floats
+from spectra_kit._core.checked import checked
+from spectra_kit._core.clock import Clock
+from spectra_kit._core.types import Floats
+from spectra_kit._sparse.elimination import Elimination
+from spectra_kit._sparse.incomplete_cholesky import incomplete_factor
+from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.errors import ConvergenceError, InvalidInputError
-from spectra_kit.linalg.elimination import Elimination
-from spectra_kit.linalg.incomplete_cholesky import incomplete_factor
-from spectra_kit.linalg.ldl import SparseLDL
 
 Ints = NDArray[np.int32]
 

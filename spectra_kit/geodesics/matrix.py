@@ -9,13 +9,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._checked import checked
-from spectra_kit._validate import check_count, hearing, warn
+from spectra_kit._core.checked import checked
+from spectra_kit._core.threads import ranges
+from spectra_kit._core.validate import check_count, hearing, warn
 from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.heat import HeatGeodesics, solved_together
 from spectra_kit.geodesics.sources import SourcesLike, check_sources
 from spectra_kit.geometry.shapes import Geometry
-from spectra_kit.linalg.threads import ranges
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation
 
 _TILE = 1024  # rows and columns whose halves are averaged at once: 4 MiB of float32
@@ -77,7 +77,7 @@ def distance_matrix(
     --------
     HeatGeodesics.distances : With all that is known of each field.
     exact_distances : From one source, exactly.
-    spectra_kit.correspondence.geodesic_distances : Between pairs of points.
+    spectra_kit.maps.geodesic_distances : Between pairs of points.
 
     Notes
     -----

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from spectra_kit._checked import checked
-from spectra_kit._display import draw
-from spectra_kit._types import Floats
-from spectra_kit._validate import Rebuilt, frozen
+from spectra_kit._core.checked import checked
+from spectra_kit._core.records import draw
+from spectra_kit._core.types import Floats
+from spectra_kit._core.validate import Rebuilt, frozen
+from spectra_kit._sparse.solution import LinearSolution
 from spectra_kit.geodesics.heat_step import Heat
 from spectra_kit.geodesics.solvers import Direct, Exact, Iterative
 from spectra_kit.geodesics.sources import Sources
 from spectra_kit.geometry.shapes import Geometry
-from spectra_kit.linalg.solution import LinearSolution
 
 
 @checked
@@ -86,7 +86,7 @@ class DistanceField(Rebuilt):
         return np.isfinite(self.distance)
 
     def plot(self, geometry: Geometry, path: str | os.PathLike[str] | None = None) -> Any:
-        """Draw it on its geometry, sources at points marked; see `viz.plot_distance`."""
+        """Draw it on its geometry, sources at points marked; see `show.plot_distance`."""
         at = self.sources.vertices[self.sources.offsets == 0]
         return draw("plot_distance", path, geometry, self.distance, sources=geometry.points[at])
 

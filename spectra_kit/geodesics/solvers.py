@@ -10,22 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from spectra_kit._checked import checked
-from spectra_kit._types import Floats
-from spectra_kit._validate import check_count, check_positive
-from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg.coarse_space import (
+from spectra_kit._core.checked import checked
+from spectra_kit._core.types import Floats
+from spectra_kit._core.validate import check_count, check_positive
+from spectra_kit._sparse.coarse_space import (
     AdditiveTwoLevel,
     CoarseSpace,
     Preconditioner,
     ProjectedTwoLevel,
 )
-from spectra_kit.linalg.conjugate_gradients import pcg
-from spectra_kit.linalg.constant_kernel import ConstantKernel
-from spectra_kit.linalg.incomplete_cholesky import IncompleteCholesky
-from spectra_kit.linalg.memory import factor_gigabytes
-from spectra_kit.linalg.solution import LinearSolution
-from spectra_kit.spectra import Spectrum
+from spectra_kit._sparse.conjugate_gradients import pcg
+from spectra_kit._sparse.constant_kernel import ConstantKernel
+from spectra_kit._sparse.incomplete_cholesky import IncompleteCholesky
+from spectra_kit._sparse.memory import factor_gigabytes
+from spectra_kit._sparse.solution import LinearSolution
+from spectra_kit.eigen import Spectrum
+from spectra_kit.errors import InvalidInputError
 
 _MODES = 24  # beyond these, the bytes of a mode cost more than its iterations
 _DROP, _RELAXATION = 5e-3, 0.9

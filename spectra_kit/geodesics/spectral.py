@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._checked import checked
-from spectra_kit._types import Floats
-from spectra_kit._validate import check_positive, quantity, warn
+from spectra_kit._core.checked import checked
+from spectra_kit._core.types import Floats
+from spectra_kit._core.validate import check_positive, quantity, warn
+from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation
-from spectra_kit.spectra import Spectrum
 
 Mask = NDArray[np.bool_]
 

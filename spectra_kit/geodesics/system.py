@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from spectra_kit._types import Bools, Floats
-from spectra_kit._validate import warn
+from spectra_kit._core.types import Bools, Floats
+from spectra_kit._core.validate import warn
+from spectra_kit._sparse.elimination import Elimination
+from spectra_kit._sparse.incomplete_cholesky import untidy
 from spectra_kit.errors import DoubtfulDistanceWarning
 from spectra_kit.geodesics.heat_step import Heat
-from spectra_kit.linalg.elimination import Elimination
-from spectra_kit.linalg.incomplete_cholesky import untidy
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation
 from spectra_kit.operators.triangle_calculus import apexes, areas
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from spectra_kit._checked import checked
-from spectra_kit._validate import quantity, warn
+from spectra_kit._core.checked import checked
+from spectra_kit._core.validate import quantity, warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry.io import read
 from spectra_kit.geometry.polygons import Polygons, surface
@@ -246,3 +246,6 @@ def _is_row(part: Any) -> bool:
     return isinstance(part, list | tuple | np.ndarray) and all(
         isinstance(corner, int | np.integer) for corner in part
     )
+
+
+TriangleMesh._made_of = PointCloud._made_of = adapted

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spectra_kit._checked import checked
-from spectra_kit._types import Ints
-from spectra_kit._validate import Brief, frozen
+from spectra_kit._core.checked import checked
+from spectra_kit._core.types import Ints
+from spectra_kit._core.validate import Brief, frozen
 from spectra_kit.geometry.shapes import TriangleMesh
 from spectra_kit.geometry.units import box_unit
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from spectra_kit._checked import checked
-from spectra_kit._types import Floats
-from spectra_kit._validate import check_count
+from spectra_kit._core.checked import checked
+from spectra_kit._core.types import Floats
+from spectra_kit._core.validate import check_count
 from spectra_kit.geometry.implicit import Field, ellipsoid, limb, polygonize, smooth_union
 from spectra_kit.geometry.shapes import TriangleMesh
 

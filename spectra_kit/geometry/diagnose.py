@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from spectra_kit._checked import checked
+from spectra_kit._core.checked import checked
 from spectra_kit.geometry.seams import seams
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh, distinct_rows
 from spectra_kit.geometry.units import box_unit

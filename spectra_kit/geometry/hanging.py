@@ -11,7 +11,7 @@ from itertools import chain, pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from spectra_kit._types import Floats, Ints
+from spectra_kit._core.types import Floats, Ints
 from spectra_kit.geometry.units import box_unit
 
 _INSIDE = 1 - 1e-6  # of half an edge, around its middle: there are its ends not

@@ -12,7 +12,7 @@ import igl
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spectra_kit._types import Floats, Ints
+from spectra_kit._core.types import Floats, Ints
 
 Field = Callable[[Floats], Floats]
 

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from spectra_kit._checked import checked
-from spectra_kit._files import atomic_path
-from spectra_kit._validate import hearing, quantity, warn
+from spectra_kit._core.checked import checked
+from spectra_kit._core.files import atomic_path
+from spectra_kit._core.validate import hearing, quantity, warn
 from spectra_kit.errors import (
     IgnoredContentWarning,
     InvalidFileError,

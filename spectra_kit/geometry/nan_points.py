@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import as_array, check_faces, check_indices, check_points, frozen
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import as_array, check_faces, check_indices, check_points, frozen
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.io import content_of
 from spectra_kit.geometry.polygons import Polygons, surface

@@ -8,9 +8,16 @@ from typing import TypeVar, cast
 
 import numpy as np
 
-from spectra_kit._checked import checked
-from spectra_kit._types import Floats
-from spectra_kit._validate import Brief, check_points, check_positive, frozen, quantity, real_array
+from spectra_kit._core.checked import checked
+from spectra_kit._core.types import Floats
+from spectra_kit._core.validate import (
+    Brief,
+    check_points,
+    check_positive,
+    frozen,
+    quantity,
+    real_array,
+)
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 

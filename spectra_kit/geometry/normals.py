@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from spectra_kit._checked import checked
-from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import check_count, real_array
+from spectra_kit._core.checked import checked
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import PointCloud
 from spectra_kit.geometry.signs import agree_on_signs, symmetric_votes, turn_outwards

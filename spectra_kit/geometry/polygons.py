@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import as_array, check_indices, check_points, quantity, warn
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import as_array, check_indices, check_points, quantity, warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry.shapes import TriangleMesh
 

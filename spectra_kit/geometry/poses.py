@@ -7,9 +7,9 @@ from typing import TypeVar
 import numpy as np
 from scipy.spatial import cKDTree
 
-from spectra_kit._checked import checked
-from spectra_kit._types import Ints
-from spectra_kit._validate import check_count, frozen
+from spectra_kit._core.checked import checked
+from spectra_kit._core.types import Ints
+from spectra_kit._core.validate import check_count, frozen
 from spectra_kit.geometry.creature import creature
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
 

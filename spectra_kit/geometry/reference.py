@@ -10,9 +10,9 @@ import igl
 import numpy as np
 from scipy.special import jn_zeros, jnp_zeros
 
-from spectra_kit._checked import checked
-from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import Brief, check_count, check_positive, frozen
+from spectra_kit._core.checked import checked
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import Brief, check_count, check_positive, frozen
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import TriangleMesh
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spectra_kit._checked import checked
-from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import Brief, frozen, real_array
+from spectra_kit._core.checked import checked
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import Brief, frozen, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.hanging import divided
 from spectra_kit.geometry.seams import joined, seams

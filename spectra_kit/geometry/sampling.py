@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spectra_kit._checked import checked
-from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import (
+from spectra_kit._core.checked import checked
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import (
     Brief,
     check_count,
     check_points,

@@ -14,8 +14,8 @@ from itertools import chain
 import numpy as np
 from scipy.spatial import cKDTree
 
-from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import quantity, warn
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import quantity, warn
 from spectra_kit.errors import SplitSurfaceWarning
 from spectra_kit.geometry.hanging import divided, lying_on, points_inside
 from spectra_kit.geometry.shapes import TriangleMesh, distinct_rows

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from spectra_kit._checked import checked
-from spectra_kit._display import draw, drawn
-from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import Rebuilt, check_faces, check_points, frozen
+from spectra_kit._core.checked import checked
+from spectra_kit._core.records import draw, drawn
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import Rebuilt, check_faces, check_points, frozen
 from spectra_kit.errors import InvalidInputError
 
 _BLOCK = 1 << 16
@@ -27,9 +28,9 @@ class _Shape(Rebuilt):
     points: Floats
 
     def plot(self, path: str | os.PathLike[str] | None = None, *, view: Any = None) -> Any:
-        """Draw it, seen as a `viz.View` says, or from where it shows most.
+        """Draw it, seen as a `show.View` says, or from where it shows most.
 
-        Return the `viz.Picture`, which is written to `path` if there is one.
+        Return the `show.Picture`, which is written to `path` if there is one.
         """
         seen = {} if view is None else {"view": view}
         return draw("plot_portraits", path, self._portraits(), **seen)
@@ -40,11 +41,8 @@ class _Shape(Rebuilt):
     def _portraits(self) -> Any:
         return [draw("Portrait", geometry=self, lines=(repr(self),))]
 
-    @staticmethod
-    def _made_of(thing: Any) -> Geometry:
-        from spectra_kit.geometry.adapt import adapted  # which reads files into these
-
-        return adapted(thing)
+    #: What makes one of these of a thing: set by `adapt`, which reads files into them.
+    _made_of: ClassVar[Callable[[Any], Geometry]]
 
 
 @checked

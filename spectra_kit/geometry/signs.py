@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from spectra_kit._types import Floats, Ints
+from spectra_kit._core.types import Floats, Ints
 from spectra_kit.geometry.units import box_unit
 
 _OPEN = 0.25  # mean size of the winding number, below which a surface encloses nothing; 1/2 if all

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spectra_kit._types import Floats
+from spectra_kit._core.types import Floats
 from spectra_kit.geometry.shapes import TriangleMesh
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
-from spectra_kit._types import Bools, Ints
+from spectra_kit._core.types import Bools, Ints
 from spectra_kit.geometry.shapes import TriangleMesh
 
 FLIP = [0, 2, 1]

@@ -22,8 +22,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from spectra_kit._checked import checked
-from spectra_kit._optional import optional
+from spectra_kit._core.checked import checked
+from spectra_kit._core.optional import optional
 from spectra_kit.neo.model import ENCODED, FreeHead, NeoConfig, NeoNetwork, WaveHead, encode
 
 _CENTRES = (400, 100)

@@ -17,8 +17,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from spectra_kit._checked import checked
-from spectra_kit._validate import check_positive
+from spectra_kit._core.checked import checked
+from spectra_kit._core.validate import check_positive
 from spectra_kit.errors import InvalidInputError
 
 _EXPONENTS = torch.linspace(-2, 6, 24)  # frequencies 2^-2 ... 2^6 half-turns per unit of length

@@ -15,11 +15,11 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
-from spectra_kit._checked import checked
-from spectra_kit._files import atomic_path
-from spectra_kit._fingerprint import BLANK, has_seal, sealed
+from spectra_kit._core.checked import checked
+from spectra_kit._core.files import atomic_path
+from spectra_kit._core.fingerprint import BLANK, has_seal, sealed
+from spectra_kit._sparse.torch_device import check_device, check_float_dtype
 from spectra_kit.errors import InvalidInputError, WeightsError
-from spectra_kit.linalg.torch_device import check_device, check_float_dtype
 from spectra_kit.neo.backbones import build_network
 from spectra_kit.neo.model import NeoConfig, NeoNetwork
 

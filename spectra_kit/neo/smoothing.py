@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from torch import Tensor
 
-from spectra_kit.levels.smoothing import (
+from spectra_kit._sparse.torch_device import csr_product, csr_tensor
+from spectra_kit.eigen.multigrid.smoothing import (
     chebyshev_steps,
     enough_steps,
     lowest_damped,
     preconditioner,
 )
-from spectra_kit.linalg.torch_device import csr_product, csr_tensor
 
 _MOST = 0.9  # of the highest eigenvalue: from there on columns fill the space of the points
 
@@ -28,7 +28,7 @@ class Smoother:
     """Chebyshev steps of ``(L - lambda_j M) c = -r_j`` for errors of the modes of B surfaces.
 
     An error e of mode j has the residual ``(L - lambda_j M) e``, to which the mode adds nothing, so
-    after the steps of `levels.smoothing` it is ``p(D^-1 (L - lambda_j M)) e`` with their polynomial
+    after the steps of `eigen.multigrid.smoothing` it is ``p(D^-1 (L - lambda_j M)) e`` with their polynomial
     p and preconditioner D. Exact modes stay exact. Made by `of`.
 
     Attributes

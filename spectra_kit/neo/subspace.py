@@ -13,13 +13,13 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit._checked import checked
-from spectra_kit._validate import Rebuilt, check_count, check_mass, check_points
+from spectra_kit._core.checked import checked
+from spectra_kit._core.validate import Rebuilt, check_count, check_mass, check_points
+from spectra_kit._sparse.torch_device import check_device, torch_threads
+from spectra_kit.eigen.subspaces.frame import POSES, Frame, canonical_frame
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg.torch_device import check_device, torch_threads
 from spectra_kit.neo.model import NeoNetwork
 from spectra_kit.neo.pretrained import find_weights, load_pretrained, weights_digest
-from spectra_kit.subspaces.frame import POSES, Frame, canonical_frame
 
 _DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}
 

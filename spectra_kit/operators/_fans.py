@@ -11,7 +11,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from spectra_kit._types import Floats, Ints
+from spectra_kit._core.types import Floats, Ints
 from spectra_kit.geometry.shapes import PointCloud
 from spectra_kit.geometry.signs import agree_on_signs, symmetric_votes, turn_outwards
 from spectra_kit.operators.checks import check_cloud_usable, unit_of

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from spectra_kit._types import Bools, Floats
-from spectra_kit._validate import quantity
+from spectra_kit._core.threads import in_threads, ranges
+from spectra_kit._core.types import Bools, Floats
+from spectra_kit._core.validate import quantity
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh, distinct_rows
-from spectra_kit.linalg.threads import in_threads, ranges
 from spectra_kit.operators._half_edges import (
     ROUNDING,
     cotangent_laplacian,

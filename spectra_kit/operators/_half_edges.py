@@ -15,7 +15,7 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 from scipy import sparse
 
-from spectra_kit.linalg.compiled import compiled
+from spectra_kit._core.compiled import compiled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

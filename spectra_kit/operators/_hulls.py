@@ -8,7 +8,7 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from spectra_kit.linalg.compiled import compiled
+from spectra_kit._core.compiled import compiled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

@@ -10,9 +10,9 @@ import robust_laplacian as rl
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from spectra_kit._checked import checked
-from spectra_kit._clock import Clock
-from spectra_kit._validate import check_count, quantity
+from spectra_kit._core.checked import checked
+from spectra_kit._core.clock import Clock
+from spectra_kit._core.validate import check_count, quantity
 from spectra_kit.catalogue import OPERATORS
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry.seams import warn_of_seams

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._validate import check_count, check_positive, quantity
+from spectra_kit._core.validate import check_count, check_positive, quantity
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 from spectra_kit.geometry.units import component_units, power_of_two

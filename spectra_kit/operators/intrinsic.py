@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit._checked import checked
-from spectra_kit._clock import Clock
-from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import (
+from spectra_kit._core.checked import checked
+from spectra_kit._core.clock import Clock
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import (
     Rebuilt,
     check_indices,
     check_positive,

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from spectra_kit._checked import checked
-from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import Rebuilt, check_indices, check_mass, check_points, frozen
+from spectra_kit._core.checked import checked
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import Rebuilt, check_indices, check_mass, check_points, frozen
+from spectra_kit._sparse._checks import asymmetry
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg._checks import asymmetry
 
 _ROUNDING = 32 * float(np.finfo(np.float64).eps)  # of the sums of rows, relative to magnitudes
 

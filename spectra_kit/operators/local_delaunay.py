@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from spectra_kit._types import Bools, Floats
+from spectra_kit._core.threads import in_threads, ranges, thread_count
+from spectra_kit._core.types import Bools, Floats
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg.threads import in_threads, ranges, thread_count
 
 Ints = NDArray[np.int32]
 

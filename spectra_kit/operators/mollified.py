@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from spectra_kit._types import Floats, Ints
+from spectra_kit._core.types import Floats, Ints
 from spectra_kit.geometry.shapes import TriangleMesh, distinct_rows
 from spectra_kit.operators.checks import units_of
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spectra_kit._checked import checked
-from spectra_kit._types import Bools, Floats, Ints
-from spectra_kit._validate import (
+from spectra_kit._core.checked import checked
+from spectra_kit._core.types import Bools, Floats, Ints
+from spectra_kit._core.validate import (
     Rebuilt,
     check_count,
     check_faces,

@@ -8,8 +8,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csr_array
 
-from spectra_kit._checked import checked
-from spectra_kit._types import Floats, Ints
+from spectra_kit._core.checked import checked
+from spectra_kit._core.types import Floats, Ints
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators.checks import check_cloud_usable, check_faces_usable, unit_of

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from spectra_kit._types import Floats
-from spectra_kit._validate import quantity
+from spectra_kit._core.types import Floats
+from spectra_kit._core.validate import quantity
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import TriangleMesh
 from spectra_kit.operators.assemble import laplacian
@@ -135,7 +135,7 @@ def _delaunay(
     mesh: TriangleMesh, unit: float, built: Laplacian, *, by_library: bool
 ) -> TracedLaplacian:
     """Find the triangles of an intrinsic Delaunay Laplacian again, and record the flips."""
-    from spectra_kit.operators import _gluing, _half_edges  # numba is slow to import
+    from spectra_kit.operators import _gluing, _half_edges
 
     if by_library:
         sides, unmollified = lengthened_by_component(mesh, _MOLLIFY)

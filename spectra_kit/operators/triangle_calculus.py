@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._types import Floats
+from spectra_kit._core.types import Floats
 
 Ints = NDArray[np.int32]
 

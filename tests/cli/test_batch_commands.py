@@ -12,8 +12,8 @@ from running import printed, record, refusal
 
 import spectra_kit as sk
 from spectra_kit.cli import main
+from spectra_kit.datasets import SpectrumStore
 from spectra_kit.geometry import TriangleMesh, sphere, write
-from spectra_kit.store import SpectrumStore
 
 HERE = ("-k", 6, "--nworkers", 0)
 

@@ -14,7 +14,7 @@ import pytest
 from conftest import creature
 from running import printed, refusal
 
-from spectra_kit import Refined, eigensolve, robust_laplacian, spectrum, viz
+from spectra_kit import Refined, eigensolve, robust_laplacian, show, spectrum
 from spectra_kit.cli import info, main
 from spectra_kit.cli.output import as_json, check_folder, together
 from spectra_kit.cli.program import COMMANDS
@@ -452,7 +452,7 @@ def test_numbers_are_out_before_the_drawing_begins(folder, monkeypatch):
     printed_before, pipe = [], io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(pipe))
     monkeypatch.setattr(
-        viz, "plot_spectrum", lambda *_, **__: printed_before.append(pipe.getvalue())
+        show, "plot_spectrum", lambda *_, **__: printed_before.append(pipe.getvalue())
     )
     assert main(["spectrum", str(folder / "ball.off"), "-k", "4", "--picture", "x.png"]) == 0
     assert b"largest relative residual" in printed_before[0]

@@ -9,10 +9,10 @@ from running import printed
 
 from spectra_kit.cli import main
 from spectra_kit.cli.program import COMMANDS, app, parse
-from spectra_kit.embeddings import ShapeDNA
+from spectra_kit.datasets import Plan, SpectrumStore, complete
+from spectra_kit.features import ShapeDNA
 from spectra_kit.geometry import TriangleMesh, sphere, write
-from spectra_kit.learning import NearestNeighbour, Recipe, save_labeller, train_classifier
-from spectra_kit.store import Plan, SpectrumStore, complete
+from spectra_kit.learn import NearestNeighbour, Recipe, save_labeller, train_classifier
 
 NAMES = [command.name for command in COMMANDS]
 SMALL = ("demo", "--points", "500", "-q", "--json")

@@ -15,7 +15,7 @@ from spectra_kit import (
     Spectrum,
     eigensolve,
     robust_laplacian,
-    viz,
+    show,
 )
 from spectra_kit.catalogue import SOLVERS
 from spectra_kit.cli.compare import is_exact, reference_name
@@ -75,11 +75,11 @@ def test_as_many_modes_are_solved_for_as_are_shown(folder, capsys):
 )
 def test_what_is_asked_of_a_picture_reaches_it(folder, capsys, monkeypatch, command, plot):
     asked = []
-    monkeypatch.setattr(viz, plot, lambda *_, **options: asked.append(options))
+    monkeypatch.setattr(show, plot, lambda *_, **options: asked.append(options))
     dpi = ("--dpi", 50) if command == "modes" else ()
     files = (folder / "animal.ply", "--spectrum", folder / "animal.npz")
     record(capsys, command, *files, "--up", "y", "--turn", 30, *dpi, "-q")
-    assert asked[0]["view"] == viz.View("y", 30.0)
+    assert asked[0]["view"] == show.View("y", 30.0)
     assert asked[0]["modes"] == tuple(range(1, 9 if command == "modes" else 7))
     assert not dpi or asked[0]["page"].dpi == 50
 

@@ -12,7 +12,7 @@ from running import printed, record, refusal, write_shapes
 from spectra_kit.cli import geodesic, main
 from spectra_kit.cli.geodesic_setup import linear_solver, why_without_modes
 from spectra_kit.cli.program import parse
-from spectra_kit.eigensolvers import eigensolve
+from spectra_kit.eigen import eigensolve
 from spectra_kit.geodesics import (
     FacePoint,
     HeatGeodesics,
@@ -22,7 +22,7 @@ from spectra_kit.geodesics import (
 )
 from spectra_kit.geometry import TriangleMesh, read, sphere, write
 from spectra_kit.operators import intrinsic_delaunay
-from spectra_kit.viz.colours import UNKNOWN
+from spectra_kit.show.colours import UNKNOWN
 
 FILES = {"distance.npy", "distance.ply", "report.json"}
 

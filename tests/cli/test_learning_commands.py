@@ -8,9 +8,9 @@ from conftest import creature
 from running import printed, record, refusal
 
 from spectra_kit.cli import main
-from spectra_kit.embeddings import HeatSignature, ShapeDNA
+from spectra_kit.features import HeatSignature, ShapeDNA
 from spectra_kit.geometry import PointCloud, TriangleMesh, sphere, torus, write
-from spectra_kit.learning import (
+from spectra_kit.learn import (
     NearestNeighbour,
     PointMLP,
     Recipe,

@@ -9,10 +9,9 @@ import pytest
 from conftest import creature, two_parts
 from running import printed, record, refusal
 
-from spectra_kit.batch import load_match
 from spectra_kit.cli import main
+from spectra_kit.datasets import SpectrumStore, load_match
 from spectra_kit.geometry import mirrored, torus, write
-from spectra_kit.store import SpectrumStore
 
 HERE = ("--nworkers", 0)
 

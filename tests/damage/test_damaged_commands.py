@@ -20,9 +20,9 @@ import pytest
 from frame import Case, part, pytest_generate_tests  # noqa: F401
 
 from spectra_kit import Spectrum, write
+from spectra_kit._core.compiled import cache_folder
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere
-from spectra_kit.linalg.compiled import cache_folder
 
 _FEW = 0.02  # of the cases asked for
 _OLD, _NEW = 4, 6  # modes

@@ -13,14 +13,14 @@ import numpy as np
 import torch
 from frame import Case, damaged, part, pytest_generate_tests  # noqa: F401
 
-from spectra_kit import Spectrum, eigensolve, learning, robust_laplacian
-from spectra_kit._fingerprint import BLANK, sealed
-from spectra_kit.embeddings import Coordinates, ShapeDNA
+from spectra_kit import Spectrum, eigensolve, learn, robust_laplacian
+from spectra_kit._core.fingerprint import BLANK, sealed
+from spectra_kit.datasets import Plan, ShapeRecord, SpectrumStore, complete
+from spectra_kit.features import Coordinates, ShapeDNA
 from spectra_kit.geometry import sphere, torus, write
 from spectra_kit.neo import NeoConfig, build_network
 from spectra_kit.neo.pretrained import load_pretrained, save_weights
-from spectra_kit.store import Plan, ShapeRecord, SpectrumStore, complete
-from spectra_kit.training import checkpoint
+from spectra_kit.neo.train import checkpoint
 
 
 @cache
@@ -251,26 +251,26 @@ def test_edited_store_record(case: Case) -> None:
 def _learned() -> dict[str, tuple[bytes, Any]]:
     """Files of a segmenter, a classifier and an index, and what each tells of a ball."""
     ball, ring = sphere(subdivisions=2).geometry, torus(n=400).geometry
-    dna = learning.Recipe(embeddings=(ShapeDNA(count=8),), k=16)
-    upright = learning.Recipe(embeddings=(Coordinates(),), upright=True)
+    dna = learn.Recipe(embeddings=(ShapeDNA(count=8),), k=16)
+    upright = learn.Recipe(embeddings=(Coordinates(),), upright=True)
     found = {
-        "segmenter": learning.train_segmenter(
+        "segmenter": learn.train_segmenter(
             [ball],
             [(ball.points[:, 2] > 0).astype(int)],
             recipe=upright,
-            method=learning.PointMLP(width=8),
-            training=learning.Training(epochs=2),
+            method=learn.PointMLP(width=8),
+            training=learn.Training(epochs=2),
         ),
-        "classifier": learning.train_classifier(
-            [ball, ring], [0, 1], recipe=dna, method=learning.NearestNeighbour()
+        "classifier": learn.train_classifier(
+            [ball, ring], [0, 1], recipe=dna, method=learn.NearestNeighbour()
         ),
     }
     with TemporaryDirectory() as folder:
         for name, labeller in found.items():
-            learning.save_labeller(Path(folder, name), labeller)
+            learn.save_labeller(Path(folder, name), labeller)
         for name, shape in (("ball", ball), ("ring", ring)):
             write(shape, Path(folder, f"{name}.off"))
-        learning.index_folder(folder, dna).save(Path(folder, "index"))
+        learn.index_folder(folder, dna).save(Path(folder, "index"))
         names = ("segmenter", "classifier", "index")
         return {
             name: (Path(folder, name).read_bytes(), _told(Path(folder, name))) for name in names
@@ -281,9 +281,9 @@ def _told(path: Path) -> Any:
     """What a file of learning says of a ball."""
     ball = sphere(subdivisions=2).geometry
     if path.name == "index":
-        return learning.ShapeIndex.load(path).nearest(ball)
-    labeller = learning.load_labeller(path)
-    if isinstance(labeller, learning.Segmenter):
+        return learn.ShapeIndex.load(path).nearest(ball)
+    labeller = learn.load_labeller(path)
+    if isinstance(labeller, learn.Segmenter):
         return labeller.segment(ball).scores.tolist()
     return labeller.classify(ball).scores.tolist()
 

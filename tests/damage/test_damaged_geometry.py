@@ -23,7 +23,7 @@ from spectra_kit import (
     knn_laplacian,
     robust_laplacian,
 )
-from spectra_kit.eigensolvers import Arpack, Dense, Refined
+from spectra_kit.eigen import Arpack, Dense, Refined
 from spectra_kit.geometry import (
     Geometry,
     PointCloud,

@@ -6,10 +6,10 @@ from conftest import bumpy, creature, joined, refused
 from geodesic_truths import angles, by_libigl, straight
 from scipy.spatial import Delaunay
 
-from spectra_kit.correspondence import geodesic_distances
 from spectra_kit.errors import ConvergenceError
 from spectra_kit.geodesics import FacePoint, exact_distances
 from spectra_kit.geometry import TriangleMesh, sphere
+from spectra_kit.maps import geodesic_distances
 
 CORNERS = [[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
 QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]

@@ -12,6 +12,8 @@ from scipy import sparse
 from scipy.spatial import Delaunay
 
 import spectra_kit as sk
+from spectra_kit._sparse import LinearSolution
+from spectra_kit._sparse.elimination import Elimination
 from spectra_kit.errors import (
     ConvergenceError,
     DoubtfulDistanceWarning,
@@ -33,8 +35,6 @@ from spectra_kit.geodesics import (
 from spectra_kit.geodesics.heat_step import HeatStep
 from spectra_kit.geodesics.system import System
 from spectra_kit.geometry import TriangleMesh, rectangle, repair, sphere
-from spectra_kit.linalg import LinearSolution
-from spectra_kit.linalg.elimination import Elimination
 from spectra_kit.operators.intrinsic import intrinsic_delaunay
 from spectra_kit.operators.triangle_calculus import areas
 
@@ -507,7 +507,7 @@ def test_no_memory_for_the_order_of_elimination_is_told_with_a_way_out(animal) -
         raise MemoryError
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("spectra_kit.linalg.elimination.minimum_degree", none)
+        patch.setattr("spectra_kit._sparse.elimination.minimum_degree", none)
         with pytest.raises(OutOfMemoryError, match=r"geodesics.Iterative\(\)"):
             geodesic_distance(animal, 0, solver=Direct())
 

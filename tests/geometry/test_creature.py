@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from conftest import creature, refused
 
-from spectra_kit.eigensolvers import eigensolve
+from spectra_kit.eigen import eigensolve
 from spectra_kit.geometry import implicit as clay
 from spectra_kit.geometry.creature import _animal
 from spectra_kit.geometry.shapes import TriangleMesh

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from spectra_kit import delaunay_laplacian, eigensolve
-from spectra_kit.eigensolvers import Dense
+from spectra_kit.eigen import Dense
 from spectra_kit.errors import IgnoredContentWarning, InvalidFileError
 from spectra_kit.geometry import PointCloud, TriangleMesh, read, sphere, without_nan
 

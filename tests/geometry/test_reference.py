@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import jv, jvp
 
-from spectra_kit.eigensolvers import eigensolve
+from spectra_kit.eigen import eigensolve
 from spectra_kit.geometry.reference import _torus_eigenvalues, disk, rectangle, sphere, torus
 from spectra_kit.operators import cotan_laplacian, robust_laplacian
 

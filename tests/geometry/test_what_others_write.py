@@ -22,7 +22,7 @@ from gltf_files import Gltf
 
 import spectra_kit
 from spectra_kit import Dense, as_geometry, cotan_laplacian, eigensolve
-from spectra_kit.batch import find_inputs
+from spectra_kit.datasets import find_inputs
 from spectra_kit.errors import IgnoredContentWarning, InvalidFileError, InvalidInputError
 from spectra_kit.geometry import TriangleMesh, read, sphere, write
 from spectra_kit.geometry.formats import _room

@@ -9,8 +9,8 @@ from conftest import creature, data_folder
 from measure.batch.shapes import write_pool, write_sizes
 from measure.batch.trials import TRIALS, Setting, equal
 
+from spectra_kit.datasets import Plan, SpectrumStore
 from spectra_kit.geometry import read, write
-from spectra_kit.store import Plan, SpectrumStore
 
 
 @pytest.fixture

@@ -25,10 +25,10 @@ from measure.store import Store
 from measure.study import Result, repeats_of, run
 
 from spectra_kit import Arpack, Provenance, eigensolve, robust_laplacian
-from spectra_kit.eigensolvers import Eigenpairs
+from spectra_kit.eigen import Eigenpairs
+from spectra_kit.eigen.metrics import compare_spectra
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere, write
-from spectra_kit.metrics import compare_spectra
 
 PEERS = [name for name, method in METHODS.items() if method.peer]
 MACHINE = {"name": "box", "processor": "fast", "accelerator": "", "cores": 2, "threads": 1}

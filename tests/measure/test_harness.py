@@ -31,7 +31,7 @@ from measure.worker import FailedError, Limits, Worker
 from toy_study import Lasting, Toy, calls, clock_ones, toy
 
 from spectra_kit import PointCloud, robust_laplacian
-from spectra_kit._version import VERSION
+from spectra_kit._core.version import VERSION
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere, write
 

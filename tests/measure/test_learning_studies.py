@@ -237,7 +237,7 @@ def test_parts_are_learned_kept_and_remembered(shapes, tmp_path, monkeypatch):
     assert [epoch for epoch, _ in record["curve"]] == [1, 2, 3]
     assert 0 < record["iou"] <= 1
     assert record["turned"]["iou"] == pytest.approx(record["iou"], abs=0.2)
-    from spectra_kit.learning import load_labeller
+    from spectra_kit.learn import load_labeller
 
     saved = next(name for name in record["files"] if name.endswith(".safetensors"))
     labeller = load_labeller(tmp_path / saved)

@@ -20,10 +20,9 @@ from measure.matching.subjects import Subject, demo_subjects, subjects_in, truth
 from measure.study import Result
 
 from spectra_kit import TriangleMesh, eigensolve, robust_laplacian
-from spectra_kit.correspondence import geodesic_errors, way_back
 from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
-from spectra_kit.functional_maps import functional_map_from_point_map
 from spectra_kit.geometry import permuted
+from spectra_kit.maps import functional_map_from_point_map, geodesic_errors, way_back
 
 K = 40
 PAIR, PLAIN = Pair("creature0", "creature1"), "wks-zoomout"

@@ -24,11 +24,11 @@ from measure.store import Store
 from measure.study import run
 
 from spectra_kit import Neo, RayleighRitz, eigensolve
+from spectra_kit.eigen.metrics import compare_spectra, subspace_span_error
+from spectra_kit.eigen.subspaces import AmbientFourier
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import rectangle, write
-from spectra_kit.metrics import compare_spectra, subspace_span_error
 from spectra_kit.neo import NeoConfig, build_network, save_weights
-from spectra_kit.subspaces import AmbientFourier
 
 SMALL = network("small")
 

@@ -9,10 +9,10 @@ from conftest import creature
 from safetensors.torch import load_file
 
 from spectra_kit import eigensolve, robust_laplacian
-from spectra_kit.eigensolvers.neo import Neo
-from spectra_kit.linalg import orthonormalize
+from spectra_kit._sparse import orthonormalize
+from spectra_kit.eigen.neo import Neo
+from spectra_kit.eigen.subspaces import AmbientFourier
 from spectra_kit.neo import WEIGHTS, NeoSubspace, load_pretrained
-from spectra_kit.subspaces import AmbientFourier
 
 HERE = Path(__file__).parent
 

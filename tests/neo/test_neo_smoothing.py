@@ -7,7 +7,7 @@ from conftest import bumpy
 from scipy.linalg import eigh
 
 from spectra_kit import delaunay_laplacian, eigensolve
-from spectra_kit.levels import smoothed
+from spectra_kit.eigen.multigrid import smoothed
 from spectra_kit.neo import NeoConfig, NeoNetwork
 from spectra_kit.neo.loss import mode_residuals, smoothed_residuals
 from spectra_kit.neo.smoothing import Smoother

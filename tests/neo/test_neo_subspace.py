@@ -5,13 +5,13 @@ import pytest
 import torch
 from conftest import creature, refused
 
-from spectra_kit.eigensolvers import Cascade, Neo, RayleighRitz, eigensolve
+from spectra_kit.eigen import Cascade, Neo, RayleighRitz, eigensolve
+from spectra_kit.eigen.subspaces.frame import POSES
 from spectra_kit.errors import WeightsError
 from spectra_kit.geometry import PointCloud
 from spectra_kit.neo import NeoConfig, NeoNetwork, NeoSubspace, save_weights
 from spectra_kit.neo.pretrained import weights_digest
 from spectra_kit.operators import robust_laplacian
-from spectra_kit.subspaces.frame import POSES
 
 SIZES = {"width": 40, "depth": 2, "heads": 2, "head_width": 16, "latents": 8, "m": 24, "k": 8}
 

@@ -6,8 +6,8 @@ from conftest import bumpy
 
 import spectra_kit as sk
 from spectra_kit.catalogue import DESCRIPTORS, OPERATORS, SOLVERS, SUBSPACES
-from spectra_kit.eigensolvers import Eigensolver
-from spectra_kit.subspaces import Subspace
+from spectra_kit.eigen import Eigensolver
+from spectra_kit.eigen.subspaces import Subspace
 
 
 @pytest.mark.parametrize("name", SOLVERS)

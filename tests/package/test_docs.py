@@ -15,7 +15,7 @@ from types import ModuleType
 import pytest
 
 import spectra_kit
-from spectra_kit import explorer, viz
+from spectra_kit import explorer, show
 from spectra_kit.cli.program import parse
 
 ROOT = Path(__file__).parents[2]
@@ -104,7 +104,7 @@ def blocks(language: str, pages: Iterable[Path]) -> list[str]:
 @pytest.mark.parametrize("page", ["gallery.md", "pictures.md"])
 def test_the_calls_beside_pictures_can_be_made(page: str) -> None:
     # To draw them all takes minutes; their names and arguments go stale first.
-    drawing = {**vars(viz), **vars(explorer)}
+    drawing = {**vars(show), **vars(explorer)}
     code = ast.parse("\n".join(blocks("python", [DOCS / page])))
     calls = [node for node in ast.walk(code) if isinstance(node, ast.Call)]
     known = [call for call in calls if isinstance(call.func, ast.Name) and call.func.id in drawing]

@@ -13,11 +13,11 @@ import pytest
 import torch
 
 from spectra_kit import Spectrum, eigensolve, robust_laplacian, write
-from spectra_kit._files import atomic_path, temporary_folder
-from spectra_kit.batch.table import write as write_rows
+from spectra_kit._core.files import atomic_path, temporary_folder
+from spectra_kit.datasets.table import write as write_rows
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere
-from spectra_kit.learning import _files as learning_files
+from spectra_kit.learn import _files as learning_files
 
 posix = pytest.mark.skipif(os.name != "posix", reason="pipes and rights are those of POSIX")
 
@@ -103,7 +103,7 @@ def test_a_loop_of_links_is_replaced(tmp_path):
 WAITS = """
 import sys, time
 from pathlib import Path
-from spectra_kit._files import atomic_path, temporary_folder
+from spectra_kit._core.files import atomic_path, temporary_folder
 folder = Path(sys.argv[1])
 with temporary_folder(folder) as inner, atomic_path(folder / "good.txt") as part:
     part.write_text("half")

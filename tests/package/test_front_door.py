@@ -16,8 +16,8 @@ import trimesh
 from test_wrong_arguments import DrawnError, call_of, here, instances, surface
 
 import spectra_kit as sk
-from spectra_kit import learning
-from spectra_kit._checked import _LATE
+from spectra_kit import learn
+from spectra_kit._core.checked import _LATE
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.geometry import PointCloud, TriangleMesh
 
@@ -165,4 +165,4 @@ def test_a_problem_shows_what_helps() -> None:
 
 def test_a_missing_file_is_said_to_be_missing(tmp_path) -> None:
     with pytest.raises(sk.InvalidFileError, match="there is no such labeller; looked from"):
-        learning.load_labeller(tmp_path / "nothing.safetensors")
+        learn.load_labeller(tmp_path / "nothing.safetensors")

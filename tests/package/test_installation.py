@@ -16,8 +16,8 @@ WHERE = "import spectra_kit as sk; print(sk.__file__)"
 USE = """
 import numpy as np
 ball = sk.geometry.sphere(subdivisions=1).geometry
-sk.correspondence.map_errors(
-    ball, np.arange(ball.n)[::-1], sk.correspondence.Truth.of_map(np.arange(ball.n))
+sk.maps.map_errors(
+    ball, np.arange(ball.n)[::-1], sk.maps.Truth.of_map(np.arange(ball.n))
 )
 """
 

@@ -14,11 +14,11 @@ from conftest import bumpy
 
 import spectra_kit as sk
 from spectra_kit import metrics
-from spectra_kit._version import VERSION
-from spectra_kit.correspondence import Truth, map_errors
+from spectra_kit._core.version import VERSION
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import components, normalize, repair, sample_with_origin, sphere
 from spectra_kit.interop import to_pyvista
+from spectra_kit.maps import Truth, map_errors
 
 ROOT = Path(__file__).parents[2]
 
@@ -37,18 +37,18 @@ def test_nothing_is_imported_before_it_is_asked_for() -> None:
         "text = [help_text(command) for command in COMMANDS]\n"
         "there('numpy', 'scipy', 'torch', 'numba', 'rich')\n"
         "sk.as_geometry([[0, 0, 0]])\n"
-        "print(sk.viz.plot_modes.__name__, sk.interop.__name__, sk.metrics.__name__)\n"
+        "print(sk.show.plot_modes.__name__, sk.interop.__name__, sk.eigen.metrics.__name__)\n"
         "there('torch', 'pyvista', 'vtk', 'vtkmodules', 'matplotlib', 'trimesh')\n"
         "print(all(callable(command.load()) for command in COMMANDS))"
     )
-    names = "plot_modes spectra_kit.interop spectra_kit.metrics"
+    names = "plot_modes spectra_kit.interop spectra_kit.eigen.metrics"
     assert done.stdout.split("\n")[:4] == ["", names, "", "True"], done.stderr
 
 
 def test_a_run_over_shapes_does_not_wait_for_what_matches_them() -> None:
     done = run(
         "import sys; from spectra_kit.cli.program import NAMED; NAMED['batch'].load()\n"
-        "print('spectra_kit.batch.run' in sys.modules, 'spectra_kit.matching' in sys.modules)"
+        "print('spectra_kit.datasets.run' in sys.modules, 'spectra_kit.maps' in sys.modules)"
     )
     assert done.stdout == "True False\n", done.stderr
 

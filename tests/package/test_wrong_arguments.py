@@ -29,24 +29,20 @@ from scipy import sparse
 
 import spectra_kit as sk
 from spectra_kit import (
-    batch,
-    correspondence,
-    descriptors,
-    embeddings,
-    functional_maps,
+    datasets,
+    features,
     geodesics,
     geometry,
     interop,
-    learning,
-    matching,
+    learn,
+    maps,
     metrics,
     neo,
     operators,
-    store,
+    show,
     subspaces,
-    viz,
 )
-from spectra_kit._checked import _LATE
+from spectra_kit._core.checked import _LATE
 from spectra_kit.errors import InvalidInputError, SpectraKitError
 
 # Their arrays are checked by whom they serve; the command line has its own tests.
@@ -126,61 +122,61 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     field = heat_geodesics.distance(0)
     config = neo.NeoConfig(width=16, depth=1, heads=2, head_width=8, latents=4, m=16, k=8)
     network = neo.build_network(config)
-    signature = descriptors.heat_kernel_signature(spectrum)
-    candidate = matching.Candidate(
+    signature = features.heat_kernel_signature(spectrum)
+    candidate = maps.Candidate(
         functional_map=identity, score=0.1, mismatches={"wave": 0.1}, mirrored=False
     )
     two = {"a": prepared, "b": prepared}
-    collected = matching.CollectedPair(
+    collected = maps.CollectedPair(
         **{"source": "a", "target": "b", "score": 0.1, "score_alone": 0.1},
         **{"cycle_error": 0.1, "convincing": True},
     )
-    collection = matching.Collection(
+    collection = maps.Collection(
         **{"shapes": two, "frames": np.stack([identity] * 2), "mirrored": np.zeros(2, dtype=bool)},
         **{"groups": (("a", "b"),), "pairs": (collected,)},
     )
-    found = matching.Match(
+    found = maps.Match(
         **{"point_map": same, "functional_map": identity, "mirrored": False, "orientation": 1.0},
         **{"margin": 2.0, "mirror_margin": 2.0, "consistent": 1.0, "coverage": 1.5, "torn": 0.0},
         candidates=(candidate,),
     )
-    panel = viz.Panel(values=mesh.points[:, 0], limit=1.0)
-    map_errors = correspondence.MapErrors(np.ones(n), same)
+    panel = show.Panel(values=mesh.points[:, 0], limit=1.0)
+    map_errors = maps.MapErrors(np.ones(n), same)
     given = subspaces.GivenBasis(spectrum.eigenvectors)
-    pair = viz.MatchedPair(source=mesh, target=mesh, point_map=same)
-    point = viz.ParetoPoint(name="a", group="b", seconds=1.0, error=0.1)
-    run = viz.SolverRun(name="a", stages={"factor": 1.0}, times=[0.1], residuals=[1e-9])
-    recipe = learning.Recipe(embeddings=(embeddings.ShapeDNA(count=4),), k=8)
-    points = learning.Recipe(embeddings=(embeddings.HeatSignature(count=3),), k=8)
+    pair = show.MatchedPair(source=mesh, target=mesh, point_map=same)
+    point = show.ParetoPoint(name="a", group="b", seconds=1.0, error=0.1)
+    run = show.SolverRun(name="a", stages={"factor": 1.0}, times=[0.1], residuals=[1e-9])
+    recipe = learn.Recipe(embeddings=(features.ShapeDNA(count=4),), k=8)
+    points = learn.Recipe(embeddings=(features.HeatSignature(count=3),), k=8)
     halves = (mesh.points[:, 2] > 0).astype(int)
-    classifier = learning.train_classifier(
-        [mesh, ball], [0, 1], recipe=recipe, method=learning.NearestNeighbour()
+    classifier = learn.train_classifier(
+        [mesh, ball], [0, 1], recipe=recipe, method=learn.NearestNeighbour()
     )
-    segmenter = learning.train_segmenter(
-        *([mesh], [halves]), recipe=points, method=learning.PointMLP(width=4),
-        training=learning.Training(epochs=1),
+    segmenter = learn.train_segmenter(
+        *([mesh], [halves]), recipe=points, method=learn.PointMLP(width=4),
+        training=learn.Training(epochs=1),
     )  # fmt: skip
-    index = learning.ShapeIndex(recipe, ("mesh.obj",), ("0",), recipe.vector(mesh)[None])
+    index = learn.ShapeIndex(recipe, ("mesh.obj",), ("0",), recipe.vector(mesh)[None])
     folder = Path(tempfile.mkdtemp())
     atexit.register(shutil.rmtree, folder)
     geometry.write(mesh, folder / "mesh.obj")
-    plan = store.Plan(k=8, descriptors=("dna",), operators=("stiffness",))
-    spectra = store.SpectrumStore(folder / "store")
-    inputs = [batch.Input(name="mesh.obj", path=folder / "mesh.obj")]
-    report = batch.compute_all(inputs, spectra, plan)
+    plan = datasets.Plan(k=8, descriptors=("dna",), operators=("stiffness",))
+    spectra = datasets.SpectrumStore(folder / "store")
+    inputs = [datasets.Input(name="mesh.obj", path=folder / "mesh.obj")]
+    report = datasets.compute_all(inputs, spectra, plan)
     done = report.completed[0][1]
-    dataset = learning.StoreDataset(spectra)
-    store.complete(spectra, "copy.obj", folder / "mesh.obj", plan)
-    pair_of_names = batch.Pair(source="mesh.obj", target="copy.obj")
-    made = batch.Matched(
+    dataset = learn.StoreDataset(spectra)
+    datasets.complete(spectra, "copy.obj", folder / "mesh.obj", plan)
+    pair_of_names = datasets.Pair(source="mesh.obj", target="copy.obj")
+    made = datasets.Matched(
         **{"key": "0" * 32, "score": 0.1, "margin": 2.0, "mirror_margin": 2.0, "coverage": 1.5},
         **{"orientation": 1.0, "confidence": 0.9, "mirrored": False},
         **{"ambiguous": False, "convincing": True},
         **{"doubts": (), "computed": True, "replaced": (), "seconds": 0.1},
     )
-    maps = batch.BatchReport(completed=((pair_of_names, made),), failed=(), seconds=0.1)
-    portrait = viz.Portrait(geometry=mesh, labels=halves, lines=("x",))
-    quick = matching.MatchOptions(
+    maps = datasets.BatchReport(completed=((pair_of_names, made),), failed=(), seconds=0.1)
+    portrait = show.Portrait(geometry=mesh, labels=halves, lines=("x",))
+    quick = maps.MatchOptions(
         **{"orders": 1, "growing": 8, "kept": ((8, 2),), "turns": 1, "placed": 1},
         **{"finalists": 1, "rounds": 1, "bends": 1, "first_bends": 1},
     )
@@ -205,20 +201,20 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
             report,
             done,
             done.record,
-            batch.DaskEngine(scheduler="tcp://127.0.0.1:8786"),
+            datasets.DaskEngine(scheduler="tcp://127.0.0.1:8786"),
             pair_of_names,
-            batch.Matching(),
+            datasets.Matching(),
             made,
         ),
-        *(dataset, recipe, classifier, segmenter, index, portrait, learning.Training(epochs=1)),
-        *(viz.View(), sk.RayleighRitz(), geodesics.Automatic(), given, map_errors),
+        *(dataset, recipe, classifier, segmenter, index, portrait, learn.Training(epochs=1)),
+        *(show.View(), sk.RayleighRitz(), geodesics.Automatic(), given, map_errors),
         *(metrics.compare_spectra(spectrum, spectrum), geometry.repair(mesh)),
-        *(sk.ModeCount(verified=3, radius=0.1, floor=2.0), correspondence.Truth(same, same)),
+        *(sk.ModeCount(verified=3, radius=0.1, floor=2.0), maps.Truth(same, same)),
         *(geometry.sample_with_origin(mesh, 50, seed=0), geometry.Normalization.unit_box(mesh)),
         *(geometry.Problem(1, "a hole", "mend it"), geodesics.FacePoint(0, (1.0, 0.0, 0.0))),
         *(collected, collection, found),
         subspaces.canonical_frame(mesh.points, spectrum.mass),
-        functional_maps.precise_map(spectrum, spectrum, identity, mesh.faces),
+        maps.precise_map(spectrum, spectrum, identity, mesh.faces),
     )
     arguments = (
         # Of the geometry and its spectrum.
@@ -251,10 +247,10 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("from_diffusion_net.operators", interop.to_diffusion_net(spectrum, laplacian, slopes)),
         ("mismatches.source mismatches.target", prepared),
         ("Union.parts start subspace", given),
-        ("embedding", embeddings.HeatSignature(count=4)),
+        ("embedding", features.HeatSignature(count=4)),
         ("Surface.shape embed.shape embed_shape.shape", mesh),
         ("Surface.solver", sk.Arpack()),
-        ("embed_batch.embedding", embeddings.PlaneWaves(count=4)),
+        ("embed_batch.embedding", features.PlaneWaves(count=4)),
         ("embed_batch.points", torch.rand(2, 9, 3)),
         ("embed_batch.mass", torch.ones(2, 9)),
         ("mesh_eigenvalues.points", torch.tensor(np.array(ball.points))),
@@ -266,10 +262,10 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("train_segmenter.labels", [halves, halves]),
         ("train_classifier.recipe recipe", recipe),
         ("train_segmenter.recipe", points),
-        ("train_classifier.method", learning.NearestNeighbour()),
-        ("train_segmenter.method", learning.PointMLP(width=4)),
+        ("train_classifier.method", learn.NearestNeighbour()),
+        ("train_segmenter.method", learn.PointMLP(width=4)),
         ("train_classifier.names train_segmenter.names", ["a", "b"]),
-        ("training", learning.Training(epochs=1)),
+        ("training", learn.Training(epochs=1)),
         ("labeller", classifier),
         ("Hierarchical.backbone", "pointnet++"),
         ("Recipe.points Training.points", 60),
@@ -278,7 +274,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("known", index),
         ("StoreDataset.store", spectra),
         ("StoreDataset.plan", plan),
-        ("StoreDataset.transform", learning.normalized),
+        ("StoreDataset.transform", learn.normalized),
         ("items", [dataset[0]]),
         ("item", dataset[0]),
         ("load", geometry.read),
@@ -331,7 +327,10 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("SpectrumStore.load.key SpectrumStore.descriptor_key.spectrum", done.record.spectrum),
         ("shard.part shard.parts", 1),
         # Pictures.
-        ("plot_correspondence.page plot_correspondences.page plot_distance.page", viz.Page(dpi=10)),
+        (
+            "plot_correspondence.page plot_correspondences.page plot_distance.page",
+            show.Page(dpi=10),
+        ),
         ("plot_error_curves.errors", {"a": np.ones(4)}),
         ("fields", {"x": mesh.points[:, 0]}),
         ("pairs", [pair]),
@@ -659,11 +658,11 @@ def here(tmp_path, monkeypatch):
         raise DrawnError
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("spectra_kit.viz.render.draw_requests", drawn)
+    monkeypatch.setattr("spectra_kit.show.render.draw_requests", drawn)
     monkeypatch.setattr("matplotlib.figure.Figure", drawn)
     geometry.write(instances()["TriangleMesh"], "mesh.obj")
     instances()["Spectrum"].save("spectrum.npz")
-    learning.save_labeller("labeller.safetensors", instances()["Classifier"])
+    learn.save_labeller("labeller.safetensors", instances()["Classifier"])
     instances()["ShapeIndex"].save("index.safetensors")
 
 
@@ -690,7 +689,7 @@ def test_wrong_arguments_are_refused_by_name(name):
             "`spectrum` must be a Spectrum, got a Laplacian; did you swap it with `laplacian`?",
         ),
         (
-            lambda e: viz.plot_modes(e["Spectrum"], e["TriangleMesh"]),
+            lambda e: show.plot_modes(e["Spectrum"], e["TriangleMesh"]),
             "`geometry` must be a TriangleMesh or PointCloud, got a Spectrum; did you swap it with"
             " `spectrum`?",
         ),
@@ -710,7 +709,7 @@ def test_wrong_arguments_are_refused_by_name(name):
             lambda e: sk.spectrum(e["TriangleMesh"], solvr=1),
             "spectrum takes no argument `solvr`; did you",
         ),
-        (lambda e: viz.Page(colour="red"), "Page takes no argument `colour`"),
+        (lambda e: show.Page(colour="red"), "Page takes no argument `colour`"),
     ],
 )
 def test_what_to_do_instead_is_told(call, message):

@@ -10,7 +10,7 @@ import numpy as np
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, as_geometry, repair, write
 from spectra_kit.interop import to_pyvista
-from spectra_kit.training.pool import open_pool
+from spectra_kit.neo.train.pool import open_pool
 
 _SMALLEST = 300  # vertices of what is taken from the pool
 _SIZES = (3_000, 135_000)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import psutil
 
-from spectra_kit.store import SpectrumStore
+from spectra_kit.datasets import SpectrumStore
 
 Facts = dict[str, Any]
 _COMMAND = [sys.executable, "-m", "spectra_kit", "batch", "--json", "--quiet"]

@@ -11,7 +11,7 @@ from typing import Any
 
 from measure.eigensolvers import peers
 from spectra_kit.catalogue import SOLVERS, SUBSPACES
-from spectra_kit.eigensolvers import Eigensolver
+from spectra_kit.eigen import Eigensolver
 
 #: The call that everybody writes: speeds are given as multiples of its.
 BASELINE = "eigsh"

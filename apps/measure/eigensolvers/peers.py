@@ -13,7 +13,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import eigsh
 
-from spectra_kit._types import Floats
+from spectra_kit._core.types import Floats
 from spectra_kit.operators import Laplacian
 
 Pairs = tuple[Floats, Floats]

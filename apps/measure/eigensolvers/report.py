@@ -16,7 +16,7 @@ from measure.machine import machine_line
 from measure.recipes import Recipe
 from measure.store import Record
 from measure.study import Repeats, Result, repeats_of
-from spectra_kit.viz import ParetoPoint
+from spectra_kit.show import ParetoPoint
 
 Item = TypeVar("Item")
 Name = TypeVar("Name")

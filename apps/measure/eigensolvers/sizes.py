@@ -18,8 +18,8 @@ from measure.paper import SECONDS_NOTE, seconds_told
 from measure.recipes import Recipe
 from measure.store import Record
 from measure.study import Result, repeats_of
-from spectra_kit.viz import ParetoPoint, pareto_front
-from spectra_kit.viz.axes import log_ticks
+from spectra_kit.show import ParetoPoint, pareto_front
+from spectra_kit.show.axes import log_ticks
 
 _SAME = 1.05  # times closer than this are equal
 _FIGURES = ("seconds", "typical_error")

@@ -15,14 +15,13 @@ from measure.shapes import read_operator, write_operator
 from measure.store import Record
 from measure.study import Result, Study
 from measure.worker import clocked
-from spectra_kit._files import atomic_path
-from spectra_kit._validate import check_count
+from spectra_kit._core.files import atomic_path
+from spectra_kit._core.validate import check_count
 from spectra_kit.catalogue import OPERATORS, SOLVERS
-from spectra_kit.eigensolvers import eigensolve
+from spectra_kit.eigen import Spectrum, eigensolve
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere
 from spectra_kit.operators import Laplacian
-from spectra_kit.spectra import Spectrum
 
 #: Geometries, and the operator of each.
 KINDS = {"mesh": "robust", "cloud": "delaunay"}

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from spectra_kit._types import Floats, Ints
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit.eigen import Spectrum
 from spectra_kit.geodesics import Automatic, Direct, HeatGeodesics, Iterative
 from spectra_kit.geodesics.solvers import Solver
 from spectra_kit.geometry import PointCloud, TriangleMesh
-from spectra_kit.spectra import Spectrum
 
 #: Modes of the two-level solvers, as the paper takes them; that of `Iterative()` has its own.
 MODES = 96

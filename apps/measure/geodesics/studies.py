@@ -24,14 +24,13 @@ from measure.shapes import Shape
 from measure.store import Record
 from measure.study import Result, Study
 from measure.worker import clocked
-from spectra_kit._files import atomic_path
-from spectra_kit._types import Floats
+from spectra_kit._core.files import atomic_path
+from spectra_kit._core.types import Floats
 from spectra_kit.catalogue import SOLVERS
-from spectra_kit.eigensolvers import Eigensolver, eigensolve
+from spectra_kit.eigen import Eigensolver, Spectrum, eigensolve
 from spectra_kit.geodesics import exact_distances
 from spectra_kit.geometry import sphere
 from spectra_kit.operators import intrinsic_delaunay, robust_laplacian
-from spectra_kit.spectra import Spectrum
 
 #: How modes are made.
 EIGENSOLVERS: Mapping[str, Callable[[], Eigensolver]] = {

@@ -16,16 +16,16 @@ from scipy.spatial.transform import Rotation
 from measure.learning.labelled import LabelledSet
 from measure.store import Record, Store
 from measure.study import Result, Study, run
-from spectra_kit import embeddings as e
-from spectra_kit import learning
-from spectra_kit._files import atomic_path
-from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import check_count
-from spectra_kit.eigensolvers import Arpack, Eigensolver, Neo
+from spectra_kit import features as e
+from spectra_kit import learn
+from spectra_kit._core.files import atomic_path
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import check_count
+from spectra_kit.eigen import Arpack, Eigensolver, Neo
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh, sample
-from spectra_kit.learning.examples import Example, prepared
-from spectra_kit.learning.fitting import fit, predicted, with_copies
+from spectra_kit.learn.examples import Example, prepared
+from spectra_kit.learn.fitting import fit, predicted, with_copies
 
 #: What embeddings depend on.
 SOURCES = tuple(
@@ -63,18 +63,16 @@ OF_POINTS: dict[str, e.Embedding] = {
     "waves": e.WaveSignature(),
     "global": e.GlobalPoints(),
 }
-HEADS: dict[str, learning.Head] = {
-    "nearest": learning.NearestNeighbour(),
-    "discriminant": learning.LinearDiscriminant(),
-    "support": learning.SupportVectors(),
+HEADS: dict[str, learn.Head] = {
+    "nearest": learn.NearestNeighbour(),
+    "discriminant": learn.LinearDiscriminant(),
+    "support": learn.SupportVectors(),
 }
 #: About 60,000 weights each, but for what the inputs take.
-NETWORKS: dict[str, learning.Network] = {
-    "pointnet": learning.PointNet(width=48),
-    "pointnet++": learning.Hierarchical(backbone="pointnet++", width=40, features=False),
-    "point-transformer": learning.Hierarchical(
-        backbone="point-transformer", width=40, features=False
-    ),
+NETWORKS: dict[str, learn.Network] = {
+    "pointnet": learn.PointNet(width=48),
+    "pointnet++": learn.Hierarchical(backbone="pointnet++", width=40, features=False),
+    "point-transformer": learn.Hierarchical(backbone="point-transformer", width=40, features=False),
 }
 
 
@@ -347,19 +345,17 @@ def _by_network(
     return found
 
 
-def training_of(row: Row, examples: int, seed: int) -> learning.Training:
+def training_of(row: Row, examples: int, seed: int) -> learn.Training:
     """Return how a network is trained that learns from so many examples."""
     epochs = max(1, SHOWN // (examples * (1 + COPIES)))
-    return learning.Training(
+    return learn.Training(
         epochs=epochs, batch=16, points=_SEEN, copies=COPIES, smoothing=0.0, seed=seed
     )
 
 
-def _recipe(row: Row) -> learning.Recipe:
+def _recipe(row: Row) -> learn.Recipe:
     """Return the recipe of a row: of what a network learns from, once it is prepared."""
-    return learning.Recipe(
-        embeddings=_embeddings(row), k=K, solver=SOLVERS[row.view.solver], seed=0
-    )
+    return learn.Recipe(embeddings=_embeddings(row), k=K, solver=SOLVERS[row.view.solver], seed=0)
 
 
 _prepared: dict[tuple[object, ...], Example] = {}

@@ -22,9 +22,9 @@ from measure.learning.classification import (
     training_of,
 )
 from measure.study import Result
-from spectra_kit._optional import optional
-from spectra_kit._types import Floats, Ints
-from spectra_kit._version import VERSION
+from spectra_kit._core.optional import optional
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.version import VERSION
 
 Results = Sequence[Result[Row, int]]
 

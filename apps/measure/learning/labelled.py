@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._files import parsing
-from spectra_kit._fingerprint import arrays_digest
-from spectra_kit._types import Bools, Ints
+from spectra_kit._core.files import parsing
+from spectra_kit._core.fingerprint import arrays_digest
+from spectra_kit._core.types import Bools, Ints
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import TriangleMesh, creature, sphere, torus
 

@@ -13,16 +13,16 @@ from measure.learning.classification import OF_POINTS, SOLVERS, SOURCES, View
 from measure.learning.labelled import LabelledSet
 from measure.store import Record, Store
 from measure.study import Result, Study, run
-from spectra_kit import embeddings as e
-from spectra_kit import learning
-from spectra_kit._files import atomic_path
-from spectra_kit._fingerprint import arrays_digest
-from spectra_kit._types import Floats, Ints
+from spectra_kit import features as e
+from spectra_kit import learn
+from spectra_kit._core.files import atomic_path
+from spectra_kit._core.fingerprint import arrays_digest
+from spectra_kit._core.types import Floats, Ints
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh
-from spectra_kit.learning.examples import Example, prepared
-from spectra_kit.learning.fitting import Model, fit, predicted, with_copies
-from spectra_kit.learning.labellers import Segmenter, carried, labels_of
+from spectra_kit.learn.examples import Example, prepared
+from spectra_kit.learn.fitting import Model, fit, predicted, with_copies
+from spectra_kit.learn.labellers import Segmenter, carried, labels_of
 
 POINTS = 2048  #: Of a cloud.
 K = 96  #: Modes.
@@ -30,12 +30,12 @@ _LOOKS = 40  # at the test shapes, for the curve
 COPIES = 15  #: Stretched ones of each, where there are few examples.
 
 EMBEDDINGS: dict[str, e.Embedding] = {**OF_POINTS, "global": e.GlobalPoints(count=16)}
-NETWORKS: dict[str, learning.Network] = {
-    "diffusion": learning.DiffusionNet(dropout=0.2),
-    "mlp": learning.PointMLP(),
-    "pointnet": learning.PointNet(width=64),
-    "pointnet++": learning.Hierarchical(backbone="pointnet++", width=53),
-    "point-transformer": learning.Hierarchical(backbone="point-transformer", width=53),
+NETWORKS: dict[str, learn.Network] = {
+    "diffusion": learn.DiffusionNet(dropout=0.2),
+    "mlp": learn.PointMLP(),
+    "pointnet": learn.PointNet(width=64),
+    "pointnet++": learn.Hierarchical(backbone="pointnet++", width=53),
+    "point-transformer": learn.Hierarchical(backbone="point-transformer", width=53),
 }
 
 
@@ -68,9 +68,9 @@ class Parts(Study[PartsRow, int]):
     epochs: int = 40
     validated: bool = False  #: Tested on a part of the training split that is held out, instead.
 
-    def training(self, row: PartsRow, seed: int) -> learning.Training:
+    def training(self, row: PartsRow, seed: int) -> learn.Training:
         """Return how a network is trained: of a few shapes, with stretched copies of each."""
-        return learning.Training(epochs=self.epochs, copies=COPIES * bool(row.shots), seed=seed)
+        return learn.Training(epochs=self.epochs, copies=COPIES * bool(row.shots), seed=seed)
 
     def facts(self, contender: PartsRow, problem: int) -> dict[str, object]:
         """See `Study`."""
@@ -130,7 +130,7 @@ class Parts(Study[PartsRow, int]):
         saved = self.file(contender, problem, ".safetensors")
         with atomic_path(arrays) as part:
             np.savez(part, **labels)
-        learning.save_labeller(saved, segmenter)
+        learn.save_labeller(saved, segmenter)
         return {
             **{name: value for name, value in curve[-1].items() if name != "epoch"},
             "turned": marks(shapes, turned),
@@ -163,9 +163,9 @@ def _content(shapes: LabelledSet, i: int) -> str:
     return arrays_digest(mesh.points, mesh.faces)
 
 
-def recipe_of(row: PartsRow, seed: int) -> learning.Recipe:
+def recipe_of(row: PartsRow, seed: int) -> learn.Recipe:
     """Return how a row's shapes become numbers."""
-    return learning.Recipe(
+    return learn.Recipe(
         embeddings=tuple(EMBEDDINGS[name] for name in row.embedding.split("+")),
         k=K,
         solver=SOLVERS[row.view.solver],
@@ -186,8 +186,8 @@ class _Seen:
         shapes: LabelledSet,
         i: int,
         mesh: Geometry,
-        recipe: learning.Recipe,
-        network: learning.Network,
+        recipe: learn.Recipe,
+        network: learn.Network,
     ) -> None:
         assert isinstance(mesh, TriangleMesh)  # and so is a stretched one
         self.number, self.mesh = i, mesh
@@ -203,7 +203,7 @@ class _Seen:
         truth = shapes.face_labels[i]
         self.labels, self.corners = labels_of(self.seen, mesh, truth, recipe, "faces")
 
-    def scores(self, model: Model, recipe: learning.Recipe) -> Floats:
+    def scores(self, model: Model, recipe: learn.Recipe) -> Floats:
         """Return scores of the mesh's vertices."""
         return carried(self.seen, predicted(model, recipe, self.example), self.mesh)
 

@@ -12,9 +12,9 @@ from measure import figures, tables
 from measure.learning.labelled import LabelledSet
 from measure.learning.segmentation import COPIES, EMBEDDINGS, NETWORKS, POINTS, K, Parts, PartsRow
 from measure.study import Result
-from spectra_kit._types import Floats
-from spectra_kit._version import VERSION
-from spectra_kit.viz import Page, Portrait, plot_portraits
+from spectra_kit._core.types import Floats
+from spectra_kit._core.version import VERSION
+from spectra_kit.show import Page, Portrait, plot_portraits
 
 Results = Sequence[Result[PartsRow, int]]
 

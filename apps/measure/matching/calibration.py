@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from measure import figures
-from spectra_kit._types import Bools, Floats, Ints
+from spectra_kit._core.types import Bools, Floats, Ints
 from spectra_kit.errors import InvalidInputError
 
 #: Maps with less confidence are doubted.

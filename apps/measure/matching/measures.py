@@ -9,9 +9,12 @@ import numpy as np
 
 from measure.matching.methods import Outcome
 from measure.matching.subjects import Subject, truth_between
-from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import frozen
-from spectra_kit.correspondence import (
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import frozen
+from spectra_kit.eigen import Spectrum
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.maps import (
     accuracy_curve,
     auc,
     bijectivity_errors,
@@ -20,14 +23,12 @@ from spectra_kit.correspondence import (
     geodesic_distances,
     geodesic_errors,
     map_errors,
+    nearest_rows,
     orientation,
+    zoomout,
 )
-from spectra_kit.errors import InvalidInputError
-from spectra_kit.functional_maps import nearest_rows, zoomout
-from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.operators import laplacian
 from spectra_kit.operators.oriented import oriented_triangles
-from spectra_kit.spectra import Spectrum
 
 Geodesics = Literal["edges", "exact"]
 Measured = dict[str, Any]
@@ -50,7 +51,7 @@ def measure_map(
     """Measure a map from points to vertices, in hundredths of the root of the source's area.
 
     The source is a mesh. `back` is the target point of each source vertex (see
-    `correspondence.way_back`), `best` the map of the candidate that is best by the truth, if
+    `maps.way_back`), `best` the map of the candidate that is best by the truth, if
     another than the chosen one. Distances are those on the source's mesh, also between clouds; NaN
     is what cannot be known.
 

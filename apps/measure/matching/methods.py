@@ -12,15 +12,14 @@ from functools import partial
 import numpy as np
 
 from measure.matching import pyfm_peer
-from spectra_kit._files import temporary_folder
-from spectra_kit._types import Floats, Ints
-from spectra_kit.descriptors import normalize_descriptors, wave_kernel_signature
+from spectra_kit._core.files import temporary_folder
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
-from spectra_kit.functional_maps import FitWeights, fit_functional_map, zoomout
+from spectra_kit.features import normalize_descriptors, wave_kernel_signature
 from spectra_kit.geometry import Geometry, TriangleMesh
-from spectra_kit.matching import match, prepare
+from spectra_kit.maps import FitWeights, fit_functional_map, match, prepare, zoomout
 from spectra_kit.operators.oriented import oriented_triangles
-from spectra_kit.spectra import Spectrum
 
 _FITTED, _THINNED = 30, 4  # modes of a fitted map; of 100 signatures every fourth
 
@@ -50,7 +49,7 @@ class Outcome:
 
 
 def match_best(source: Side, target: Side) -> Outcome:
-    """Match as `matching.match` does by default; the seconds include preparing both sides."""
+    """Match as `maps.match` does by default; the seconds include preparing both sides."""
     clock = _Clock()
     prepared = (prepare(side.spectrum, side.geometry) for side in (source, target))
     found = match(*prepared, k=min(source.spectrum.k, target.spectrum.k))

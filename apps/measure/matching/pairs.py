@@ -16,16 +16,15 @@ from measure.matching.methods import METHODS, Side
 from measure.matching.subjects import Subject
 from measure.store import Record, Store
 from measure.study import Result, Study, run
-from spectra_kit._files import atomic_path
-from spectra_kit._types import Ints
-from spectra_kit._validate import check_count
+from spectra_kit._core.files import atomic_path
+from spectra_kit._core.types import Ints
+from spectra_kit._core.validate import check_count
 from spectra_kit.catalogue import SOLVERS, SUBSPACES
-from spectra_kit.correspondence import way_back
-from spectra_kit.eigensolvers import Eigensolver, eigensolve
+from spectra_kit.eigen import Eigensolver, Spectrum, eigensolve
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.geometry.shapes import distinct_rows
+from spectra_kit.maps import way_back
 from spectra_kit.operators import laplacian
-from spectra_kit.spectra import Spectrum
 
 Kind = Literal["mesh", "cloud"]
 KINDS: tuple[Kind, ...] = ("mesh", "cloud")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from measure.matching.subjects import Subject
-from spectra_kit._validate import check_count
+from spectra_kit._core.validate import check_count
 from spectra_kit.errors import InvalidInputError
 
 Pairs = list[tuple[str, str]]

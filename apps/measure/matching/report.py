@@ -23,10 +23,10 @@ from measure.matching.sets import PairSet
 from measure.matching.subjects import truth_between
 from measure.store import Record
 from measure.study import Result
-from spectra_kit._version import VERSION
-from spectra_kit.correspondence import FLIP_MARGIN, MapErrors, geodesic_errors
+from spectra_kit._core.version import VERSION
 from spectra_kit.geometry import PointCloud
-from spectra_kit.viz import MatchedPair, Page, View, plot_correspondences
+from spectra_kit.maps import FLIP_MARGIN, MapErrors, geodesic_errors
+from spectra_kit.show import MatchedPair, Page, View, plot_correspondences
 
 Results = Sequence[Result[Way, Pair]]
 

@@ -13,9 +13,9 @@ from measure.matching.protocols import Protocol, make_protocol
 from measure.matching.subjects import LACKING, Subject, demo_subjects, subjects_in
 from measure.matching.triangulations import TRIANGULATIONS, rounding, triangulated
 from measure.shapes import data_folder
-from spectra_kit._validate import check_count
+from spectra_kit._core.validate import check_count
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.viz.camera import Up
+from spectra_kit.show.camera import Up
 
 #: What is measured of a set where no other protocol is asked for; of others, random pairs.
 USUAL = {"smal_r": "all-pairs", "scape_a": "all-pairs", "tosca_r": "same-class"}

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from spectra_kit._files import parsing
-from spectra_kit._fingerprint import arrays_digest
-from spectra_kit._types import Ints
-from spectra_kit._validate import Rebuilt, check_count, check_indices, frozen
-from spectra_kit.correspondence import Truth
+from spectra_kit._core.files import parsing
+from spectra_kit._core.fingerprint import arrays_digest
+from spectra_kit._core.types import Ints
+from spectra_kit._core.validate import Rebuilt, check_count, check_indices, frozen
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, creature
+from spectra_kit.maps import Truth
 
 #: A landmark that a subject lacks.
 LACKING = -1

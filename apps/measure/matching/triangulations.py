@@ -16,12 +16,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from measure.matching.subjects import LACKING, Subject
-from spectra_kit._types import Floats, Ints
+from spectra_kit._core.types import Floats, Ints
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh, largest_component
 from spectra_kit.geometry.implicit import polygonize
 from spectra_kit.interop import to_pyvista
-from spectra_kit.matching.curvature import outward_normals
+from spectra_kit.maps.curvature import outward_normals
 from spectra_kit.operators.oriented import oriented_triangles
 
 _TURN = 0.1  # of the root of the area: what a turn by one radian counts like, anisotropic

@@ -17,18 +17,17 @@ from measure.network.cases import Case
 from measure.network.methods import Method
 from measure.store import Record, code_digest
 from measure.study import Study
-from spectra_kit._fingerprint import facts_digest
-from spectra_kit._types import Floats
-from spectra_kit.eigensolvers import Dense, eigensolve
-from spectra_kit.eigensolvers.base import Eigenpairs
+from spectra_kit._core.fingerprint import facts_digest
+from spectra_kit._core.types import Floats
+from spectra_kit._sparse.orthonormal import orthonormalize
+from spectra_kit._sparse.ritz import ritz_pairs
+from spectra_kit._sparse.torch_device import device_clock
+from spectra_kit.eigen import Dense, Spectrum, eigensolve
+from spectra_kit.eigen.base import Eigenpairs
+from spectra_kit.eigen.metrics import Comparison, compare_spectra
+from spectra_kit.eigen.multigrid.smoothing import on_device
 from spectra_kit.errors import DoubtfulSpectrumWarning
-from spectra_kit.levels.smoothing import on_device
-from spectra_kit.linalg.orthonormal import orthonormalize
-from spectra_kit.linalg.ritz import ritz_pairs
-from spectra_kit.linalg.torch_device import device_clock
-from spectra_kit.metrics import Comparison, compare_spectra
 from spectra_kit.operators import Laplacian
-from spectra_kit.spectra import Spectrum
 
 #: Functions for each point above which a subspace says nothing: it fills the space of the points.
 ROOM = 0.6

@@ -10,14 +10,14 @@ import numpy as np
 from scipy.stats import special_ortho_group
 
 from measure.shapes import Shape
-from spectra_kit._validate import check_count
+from spectra_kit._core.validate import check_count
 from spectra_kit.catalogue import OPERATORS
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, repair, sample
 from spectra_kit.geometry.sampling import GaussianDensity
+from spectra_kit.neo.train.families import FAMILIES
+from spectra_kit.neo.train.samples import CorpusConfig, draw_source, make_surface
 from spectra_kit.operators import Laplacian
-from spectra_kit.training.families import FAMILIES
-from spectra_kit.training.samples import CorpusConfig, draw_source, make_surface
 
 Operator = Literal["robust", "cotan", "knn"]
 

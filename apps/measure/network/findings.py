@@ -12,7 +12,7 @@ import numpy as np
 from measure.network.cases import Case
 from measure.network.methods import Method
 from measure.store import Record
-from spectra_kit._types import Floats
+from spectra_kit._core.types import Floats
 
 Labels = Mapping[str, str | int]
 

@@ -11,11 +11,11 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
-from spectra_kit._types import Floats
-from spectra_kit.eigensolvers import Cascade, Eigensolver, Neo
+from spectra_kit._core.types import Floats
+from spectra_kit.eigen import Cascade, Eigensolver, Neo
+from spectra_kit.eigen.subspaces import AmbientFourier
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo import NeoSubspace, load_pretrained
-from spectra_kit.subspaces import AmbientFourier
 
 Poses = Literal[1, 2, 4]
 Precision = Literal["float32", "bfloat16", "float16"]

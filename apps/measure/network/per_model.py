@@ -10,8 +10,8 @@ import numpy as np
 from measure.network.cases import Case
 from measure.network.findings import Finding, Goal, Place, Row
 from measure.network.methods import Method
-from spectra_kit._types import Floats, Ints
-from spectra_kit.eigensolvers import Neo
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit.eigen import Neo
 
 #: Of smoothing, at most: none, one, and what `Neo` is allowed by default.
 STEPS = (0, 1, Neo.smoothing)

@@ -26,7 +26,7 @@ from measure.network.methods import (
 from measure.shapes import Shape
 from measure.store import Store
 from measure.study import Result, run
-from spectra_kit._validate import check_count
+from spectra_kit._core.validate import check_count
 from spectra_kit.errors import InvalidInputError
 
 _LARGE = 16_384  # points: an exact solve takes seconds beyond

@@ -16,8 +16,8 @@ from measure.network import per_model
 from measure.network.findings import Finding, Row
 from measure.network.questions import Answer
 from measure.store import Record
-from spectra_kit._types import Floats
-from spectra_kit.viz import Page, plot_comparison
+from spectra_kit._core.types import Floats
+from spectra_kit.show import Page, plot_comparison
 
 ERRORS = {"span": "span error", "vector": "eigenvector error", "value": "eigenvalue error"}
 _LINES = 6  # in one panel

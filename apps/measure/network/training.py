@@ -12,10 +12,10 @@ import numpy as np
 
 from measure import figures, tables
 from measure.network.methods import check_labels, label
-from spectra_kit._types import Floats
+from spectra_kit._core.types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.pretrained import load_pretrained
-from spectra_kit.viz.axes import log_ticks
+from spectra_kit.show.axes import log_ticks
 
 _TITLE = "Validation error against hours of training"
 _NOTE = (

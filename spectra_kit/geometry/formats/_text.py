@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import quantity, warn
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import quantity, warn
 from spectra_kit.errors import IgnoredContentWarning
 
 # That of UTF-32 begins with that of UTF-16.

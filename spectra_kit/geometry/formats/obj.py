@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from spectra_kit._types import Floats
-from spectra_kit._validate import quantity, warn
+from spectra_kit._core.types import Floats
+from spectra_kit._core.validate import quantity, warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays, broken_line, real, whole
 from spectra_kit.geometry.formats._text import (

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spectra_kit._validate import quantity
+from spectra_kit._core.validate import quantity
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.formats._arrays import (
     Arrays,

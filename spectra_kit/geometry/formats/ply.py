@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import quantity, warn
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import quantity, warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays, check_corners, check_rest, real, whole
 from spectra_kit.geometry.formats._text import Lines, are_laid_out, numbers, text_of

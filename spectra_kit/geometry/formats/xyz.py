@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from spectra_kit._validate import quantity
+from spectra_kit._core.validate import quantity
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays, position, real
 from spectra_kit.geometry.formats._text import Lines, text_of, without_comments, words_of

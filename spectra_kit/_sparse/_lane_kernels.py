@@ -1,0 +1,234 @@
+"""The solves of `SparseLDL`, eight right-hand sides at a time, compiled by numba on first use.
+
+What is read of a factor is worth little arithmetic for one right-hand side: the solve waits for
+memory. For eight there is as much to read and eight times as much to do with it, if the processor
+takes their numbers as one vector. Compilers do not see that loops over the eight may be such, as
+arrays might overlap; so `Lanes` are vectors of LLVM itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba.core import types
+from numba.extending import intrinsic, models, register_model
+from numpy.typing import NDArray
+
+from spectra_kit._core.compiled import compiled
+
+Ints = NDArray[np.int32]
+Longs = NDArray[np.int64]
+Reals = NDArray[np.float64] | NDArray[np.float32]
+
+#: Right-hand sides that are solved for together: the longest vectors there are, of float64.
+LANES = 8
+_FUSED = ("contract",)  # one rounding for a product and its sum, where the processor can
+
+
+class Lanes(types.Type):
+    """A number of each of the right-hand sides."""
+
+    def __init__(self, dtype: Any) -> None:
+        self.dtype = dtype
+        super().__init__(name=f"Lanes({dtype})")
+
+
+@register_model(Lanes)
+class _LanesModel(models.PrimitiveModel):
+    def __init__(self, dmm: Any, fe_type: Any) -> None:
+        number = dmm.lookup(fe_type.dtype).get_value_type()
+        vector = ir.VectorType(number, LANES)
+        super().__init__(dmm, fe_type, vector)  # type: ignore[no-untyped-call]
+
+
+def _instruction(define: Callable[..., Any]) -> Any:
+    """Return what compiled loops call; numba's annotation of it is that of its definition."""
+    return intrinsic(define)
+
+
+def _row(context: Any, builder: Any, kind: Any, array: Any, i: Any) -> tuple[Any, int]:
+    """Return a pointer to row i of an array of shape (n, 8) as a vector, and its alignment."""
+    start = context.make_array(kind)(context, builder, array).data
+    number = start.type.pointee
+    place = builder.gep(start, [builder.mul(i, context.get_constant(types.intp, LANES))])
+    vector = ir.VectorType(number, LANES).as_pointer()
+    return builder.bitcast(place, vector), kind.dtype.bitwidth // 8
+
+
+def _in_all_lanes(builder: Any, number: Any, vector: Any) -> Any:
+    """Return a number as a vector."""
+    unknown = ir.Constant(vector, ir.Undefined)
+    index = ir.IntType(32)
+    first = builder.insert_element(unknown, number, ir.Constant(index, 0))
+    zeros = ir.Constant(ir.VectorType(index, LANES), [0] * LANES)
+    return builder.shuffle_vector(first, unknown, zeros)
+
+
+@_instruction
+def _take(typing: Any, array: Any, i: Any) -> Any:
+    """Row i of an array of shape (n, 8)."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        place, alignment = _row(context, builder, signature.args[0], *arguments)
+        return builder.load(place, align=alignment)
+
+    return Lanes(array.dtype)(array, types.intp), generate
+
+
+@_instruction
+def _put(typing: Any, array: Any, i: Any, lanes: Any) -> Any:
+    """Write row i of an array of shape (n, 8)."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        place, alignment = _row(context, builder, signature.args[0], *arguments[:2])
+        builder.store(arguments[2], place, align=alignment)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, lanes), generate
+
+
+@_instruction
+def _less(typing: Any, x: Any, factor: Any, y: Any) -> Any:
+    """``x - factor * y`` of two rows."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        x, factor, y = arguments
+        product = builder.fmul(_in_all_lanes(builder, factor, y.type), y, flags=_FUSED)
+        return builder.fsub(x, product, flags=_FUSED)
+
+    return x(x, x.dtype, y), generate
+
+
+@_instruction
+def _times(typing: Any, factor: Any, x: Any) -> Any:
+    """``factor * x`` of a row."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        factor, x = arguments
+        return builder.fmul(_in_all_lanes(builder, factor, x.type), x)
+
+    return x(x.dtype, x), generate
+
+
+@compiled()
+def solve_columns(
+    order: Ints,
+    begins: Ints,
+    first: Longs,
+    rows: Ints,
+    panels: Longs,
+    factor: Reals,
+    inverse: Reals,
+    rhs: Reals,
+    out: Reals,
+    left: int,
+    right: int,
+) -> None:
+    """Write the solution of ``P (I + L) D (I + L)^T P^T x = rhs`` to `out`, both (n, s).
+
+    For the columns `left` to `right`, eight at most; fewer take the time of eight. Four columns of
+    the factor are read in one pass. All lanes do the same, so that the bits of a solution do not
+    depend on the others.
+    """
+    n, count, many = len(order), len(begins) - 1, right - left
+    y = np.zeros((n, LANES), factor.dtype)
+    for i in range(n):
+        for c in range(many):
+            y[i, c] = rhs[order[i], left + c]
+    most = 0
+    for s in range(count):
+        most = max(most, begins[s + 1] - begins[s] + first[s + 1] - first[s])
+    work = np.empty((most, LANES), factor.dtype)  # the rows of a run of columns, side by side
+    for s in range(count):
+        a, width, low = begins[s], begins[s + 1] - begins[s], first[s]
+        u = first[s + 1] - low
+        m = width + u
+        nothing = True
+        for k in range(width):
+            for c in range(many):
+                nothing = nothing and y[a + k, c] == 0.0
+        if nothing:  # as in most runs where few entries of `rhs` are not zero
+            continue
+        for k in range(width):
+            _put(work, k, _take(y, a + k))
+        for k in range(u):
+            _put(work, width + k, _take(y, rows[low + k]))
+        k = 0
+        while k + 4 <= width:
+            p0 = panels[s] + k * m - k * (k + 3) // 2 - 1  # p0 + j: entry j of column k
+            p1 = p0 + m - k - 2
+            p2 = p1 + m - k - 3
+            p3 = p2 + m - k - 4
+            w0 = _take(work, k)
+            w1 = _less(_take(work, k + 1), factor[p0 + k + 1], w0)
+            w2 = _less(_take(work, k + 2), factor[p0 + k + 2], w0)
+            w2 = _less(w2, factor[p1 + k + 2], w1)
+            w3 = _less(_take(work, k + 3), factor[p0 + k + 3], w0)
+            w3 = _less(_less(w3, factor[p1 + k + 3], w1), factor[p2 + k + 3], w2)
+            _put(work, k + 1, w1)
+            _put(work, k + 2, w2)
+            _put(work, k + 3, w3)
+            f0, f1 = factor[p0 + k + 4 : p0 + m], factor[p1 + k + 4 : p1 + m]
+            f2, f3 = factor[p2 + k + 4 : p2 + m], factor[p3 + k + 4 : p3 + m]
+            for j in range(len(f0)):
+                x = _less(_less(_take(work, k + 4 + j), f0[j], w0), f1[j], w1)
+                _put(work, k + 4 + j, _less(_less(x, f2[j], w2), f3[j], w3))
+            k += 4
+        while k < width:
+            p0 = panels[s] + k * m - k * (k + 3) // 2 - 1
+            f0 = factor[p0 + k + 1 : p0 + m]
+            w0 = _take(work, k)
+            for j in range(len(f0)):
+                _put(work, k + 1 + j, _less(_take(work, k + 1 + j), f0[j], w0))
+            k += 1
+        for k in range(width):
+            _put(y, a + k, _take(work, k))
+        for k in range(u):
+            _put(y, rows[low + k], _take(work, width + k))
+    for s in range(count - 1, -1, -1):
+        a, width, low = begins[s], begins[s + 1] - begins[s], first[s]
+        u = first[s + 1] - low
+        m = width + u
+        for k in range(width):
+            _put(work, k, _times(inverse[a + k], _take(y, a + k)))
+        for k in range(u):
+            _put(work, width + k, _take(y, rows[low + k]))
+        k = width
+        while k % 4 > 0:
+            k -= 1
+            p0 = panels[s] + k * m - k * (k + 3) // 2 - 1
+            f0 = factor[p0 + k + 1 : p0 + m]
+            w0 = _take(work, k)
+            for j in range(len(f0)):
+                w0 = _less(w0, f0[j], _take(work, k + 1 + j))
+            _put(work, k, w0)
+        while k > 0:
+            k -= 4
+            p0 = panels[s] + k * m - k * (k + 3) // 2 - 1
+            p1 = p0 + m - k - 2
+            p2 = p1 + m - k - 3
+            p3 = p2 + m - k - 4
+            f0, f1 = factor[p0 + k + 4 : p0 + m], factor[p1 + k + 4 : p1 + m]
+            f2, f3 = factor[p2 + k + 4 : p2 + m], factor[p3 + k + 4 : p3 + m]
+            w0, w1 = _take(work, k), _take(work, k + 1)
+            w2, w3 = _take(work, k + 2), _take(work, k + 3)
+            for j in range(len(f0)):
+                x = _take(work, k + 4 + j)
+                w0, w1 = _less(w0, f0[j], x), _less(w1, f1[j], x)
+                w2, w3 = _less(w2, f2[j], x), _less(w3, f3[j], x)
+            w2 = _less(w2, factor[p2 + k + 3], w3)
+            w1 = _less(_less(w1, factor[p1 + k + 2], w2), factor[p1 + k + 3], w3)
+            w0 = _less(_less(w0, factor[p0 + k + 1], w1), factor[p0 + k + 2], w2)
+            w0 = _less(w0, factor[p0 + k + 3], w3)
+            _put(work, k, w0)
+            _put(work, k + 1, w1)
+            _put(work, k + 2, w2)
+            _put(work, k + 3, w3)
+        for k in range(width):
+            _put(y, a + k, _take(work, k))
+    for i in range(n):
+        for c in range(many):
+            out[order[i], left + c] = y[i, c]

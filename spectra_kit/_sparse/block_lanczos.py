@@ -1,0 +1,178 @@
+"""Block Lanczos, reorthogonalised when that is needed, grown step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from spectra_kit._core.threads import in_threads, ranges
+from spectra_kit._core.types import Floats
+from spectra_kit.errors import InvalidInputError
+
+_POINTS = 8_192  # of one task: fixed, so that no sum depends on the threads
+_ROUNDED = 1e-15  # what is left of other vectors in one that was orthogonalised against them
+_NOTHING = 1e-10  # of the norm of the operator: a new block is no larger
+_SEMI = 1e-12  # the same, at most: residuals of Ritz pairs are no smaller than that
+
+
+class KrylovPairs(NamedTuple):
+    """Ritz pairs of a Krylov space.
+
+    Attributes
+    ----------
+    values : ndarray of shape (m,)
+        Ascending.
+    residuals : ndarray of shape (m,)
+        Norms of ``A x - value x``.
+    rotation : ndarray of shape (m, m)
+        From the basis to their vectors.
+    """
+
+    values: Floats
+    residuals: Floats
+    rotation: Floats
+
+
+class BlockLanczos:
+    """Krylov space of a symmetric operator and a few random vectors.
+
+    Parameters
+    ----------
+    operator : callable
+        A, from columns of shape (n, block) to the same.
+    n : int
+        Entries of a vector.
+    block : int
+        Vectors of a step. Eigenvalues of so many copies are found with all of them.
+    most : int
+        Vectors of the space at most, which are allocated at once: whole steps, and one block less
+        than n.
+    seed : int
+        Of the first block.
+
+    Raises
+    ------
+    InvalidInputError
+        If `most` is no such number.
+
+    Notes
+    -----
+    Golub and Underwood, *The block Lanczos method for computing eigenvalues*, 1977. In exact
+    arithmetic a block is orthogonal to all but the two before it. What rounding leaves of the
+    others grows in each step by the norm of the operator over that of the new block at most: before
+    it is felt, the last two blocks are orthogonalised against all others together, which takes one
+    look at these instead of two (Grimes, Lewis and Simon, *A shifted block Lanczos algorithm*,
+    1994). Vectors are rows here, whose products with a block are twice as fast; no bit of a sum
+    depends on the number of threads.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from spectra_kit._sparse.block_lanczos import BlockLanczos
+    >>> diagonal = np.arange(1000.0)[:, None] ** 2
+    >>> krylov = BlockLanczos(lambda X: diagonal * X, 1000, block=4, most=200, seed=0)
+    >>> while krylov.size < 200:
+    ...     krylov.step()
+    >>> krylov.ritz().values[-2:].round(6)
+    array([996004., 998001.])
+    """
+
+    def __init__(
+        self, operator: Callable[[Floats], Floats], n: int, *, block: int, most: int, seed: int
+    ) -> None:
+        if most % block or most + block > n:
+            raise InvalidInputError(
+                "most", f"be a multiple of {block}, and at most {n - block}", most
+            )
+        self._operator, self._block = operator, block
+        self.size = 0  # vectors whose images are known; one more block is there
+        self._basis = np.empty((most + block, n))
+        self._projected = np.zeros((most + block, most + block))
+        start = np.random.default_rng(seed).standard_normal((n, block))
+        self._basis[:block] = _orthonormal(start.T)[0]
+        self._norm, self._new = 0.0, 0.0  # of the operator in the space, and of the last block
+        self._loss = _ROUNDED  # of orthogonality of the last block, at most
+
+    def step(self) -> None:
+        """Apply the operator to the last block, and append what is new in the image."""
+        block, end = self._block, self.size + self._block
+        last, following = slice(self.size, end), slice(end, end + block)
+        before = max(self.size - block, 0)
+        W = self._basis[following]
+        W[:] = self._operator(np.ascontiguousarray(self._basis[last].T)).T
+        inside = self._take_out(following, before, end)[:, -block:]
+        self._projected[last, last] = (inside + inside.T) / 2
+        self._norm = max(self._norm, float(np.linalg.norm(inside, 2)))
+        if self._loss * self._norm > _SEMI * self._new:
+            self._take_out(slice(self.size, end + block), 0, self.size)
+            self._loss = _ROUNDED
+        else:
+            self._loss *= self._norm / self._new
+        self._take_out(following, before, end)
+        try:
+            Q, R = _orthonormal(W)
+        except np.linalg.LinAlgError:
+            Q, R = W, np.zeros((block, block))
+        sizes = np.linalg.svd(R, compute_uv=False)
+        self._norm, self._new = max(self._norm, float(sizes[0])), float(sizes[-1])
+        if self._new <= _NOTHING * self._norm:  # the space is all but invariant: this is rounding
+            Q, R = np.linalg.qr(W.T)
+            W[:] = Q.T
+            self._take_out(following, 0, end)
+            Q = np.linalg.qr(W.T)[0].T
+        W[:] = Q
+        self._projected[following, last], self._projected[last, following] = R, R.T
+        self.size = end
+
+    def ritz(self) -> KrylovPairs:
+        """Return all Ritz pairs."""
+        m = self.size
+        values, rotation = np.linalg.eigh(self._projected[:m, :m])
+        border = self._projected[m : m + self._block, m - self._block : m]
+        norms = np.linalg.norm(border @ rotation[-self._block :], axis=0)
+        return KrylovPairs(values, norms, rotation)
+
+    def lifted(self, rotation: Floats) -> Floats:
+        """Return vectors as rows, (s, n), whose coefficients are the columns of `rotation`."""
+        return combined(rotation.T, self._basis[: self.size])
+
+    def _take_out(self, rows: slice, first: int, last: int) -> Floats:
+        """Subtract from rows of the basis what lies in others; return the coefficients."""
+        W, others = self._basis[rows], self._basis[first:last]
+        inside = inner(W, others)
+        W -= combined(inside, others)
+        return inside
+
+
+def inner(A: Floats, B: Floats) -> Floats:
+    """Return ``A B^T`` of long rows."""
+    cuts = ranges(A.shape[1], _POINTS)
+    parts = in_threads(lambda a, b: A[:, a:b] @ B[:, a:b].T, cuts)
+    return np.asarray(sum(parts[1:], start=parts[0]))
+
+
+def combined(coefficients: Floats, A: Floats) -> Floats:
+    """Return combinations of long rows."""
+    out = np.empty((len(coefficients), A.shape[1]))
+
+    def fill(a: int, b: int) -> None:
+        out[:, a:b] = coefficients @ A[:, a:b]
+
+    in_threads(fill, ranges(A.shape[1], _POINTS))
+    return out
+
+
+def _orthonormal(W: Floats) -> tuple[Floats, Floats]:
+    """Return orthonormal rows Q and R with ``W = R^T Q``, by Cholesky factors of Gram matrices."""
+    size = np.linalg.norm(W, axis=1)
+    if not (size > 0).all():
+        raise np.linalg.LinAlgError("a row is zero, or not a number")
+    Q, R = W / size[:, None], np.diag(size)
+    for _ in range(2):
+        lower = np.linalg.cholesky(inner(Q, Q))
+        Q = combined(solve_triangular(lower, np.eye(len(lower)), lower=True), Q)
+        R = lower.T @ R
+    return Q, R

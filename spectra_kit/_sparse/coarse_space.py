@@ -1,0 +1,304 @@
+"""Coarse spaces of known low modes: the part of a preconditioner that a factor does badly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from operator import call
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+from scipy import sparse
+
+from spectra_kit._core.clock import Clock
+from spectra_kit._core.threads import in_threads, ranges
+from spectra_kit._core.types import Floats
+from spectra_kit._core.validate import check_mass
+from spectra_kit._sparse._checks import check_matrix, check_vector
+from spectra_kit._sparse._coarse_energy import check_basis, inverse_energy
+from spectra_kit._sparse.products import real_dtype
+from spectra_kit.errors import InvalidInputError
+
+#: Rows of a range of `pcg` and its preconditioners: sums within one are never cut differently.
+ROWS = 16_384
+_WIDE = 32  # modes from which a range of rows is worth a thread
+
+
+@runtime_checkable
+class Preconditioner(Protocol):
+    """Anything that applies a fixed symmetric positive (semi-)definite matrix near ``A^-1``.
+
+    Examples
+    --------
+    One's own, the inverse of the diagonal:
+
+    >>> from scipy import sparse
+    >>> from spectra_kit._sparse import pcg
+    >>> class Jacobi:
+    ...     def __init__(self, matrix):
+    ...         self.diagonal = matrix.diagonal()
+    ...
+    ...     def solve(self, rhs):
+    ...         return rhs / self.diagonal
+    >>> matrix = sparse.csr_array([[1.0, 0.0], [0.0, 100.0]])
+    >>> pcg(matrix, [1.0, 1.0], preconditioner=Jacobi(matrix)).iterations
+    1
+    """
+
+    def solve(self, rhs: Floats) -> Floats:
+        """Apply it.
+
+        Parameters
+        ----------
+        rhs : ndarray of shape (n,)
+            Not to be written to.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            A new array.
+        """
+
+
+class CoarseSpace:
+    """``Q = Y E^-1 Y^T`` with ``E = Y^T A Y``: the exact solution of a system within span(Y).
+
+    Parameters
+    ----------
+    basis : array_like of shape (n, k)
+        Y, of any units. Not the kernel of A: pass ``spectrum.nonzero().eigenvectors``.
+    energies : array_like of shape (k,), optional
+        The diagonal of E where it has no other entries, as for Ritz vectors: their eigenvalues.
+    matrix : sparse array of shape (n, n), optional
+        A, for any other basis: E is then computed. Directions that depend on others to rounding,
+        and those in the kernel of A, are dropped.
+    dtype : {float32, float64}
+        What Y is stored in and multiplied with. Reading Y is what an application costs; rounded
+        to float32 it spans almost the same space, and convergence does not notice.
+
+    Attributes
+    ----------
+    n : int
+        Number of points.
+    dimension : int
+        Of the space that is left, at most k.
+    seconds : float
+        Time the preparation took.
+
+    Raises
+    ------
+    InvalidInputError
+        If neither or both of `energies` and `matrix` are given, if shapes disagree (from `solve`
+        too), if a value is not finite or an energy not positive, or if nothing is left of Y.
+
+    Examples
+    --------
+    On the path below, Y spans an eigenspace, in which Q inverts A:
+
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> from spectra_kit._sparse import CoarseSpace
+    >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    >>> coarse = CoarseSpace(np.array([[1.0], [0.0], [-1.0]]), matrix=path)
+    >>> coarse.solve(path @ np.array([5.0, 0.0, -5.0]))
+    array([ 5., 0., -5.])
+    """
+
+    def __init__(
+        self,
+        basis: ArrayLike,
+        *,
+        energies: ArrayLike | None = None,
+        matrix: sparse.csr_array | None = None,
+        dtype: DTypeLike = np.float32,
+    ) -> None:
+        clock = Clock()
+        kind = real_dtype("dtype", dtype)
+        self._basis = check_basis(basis, kind)
+        self.n, self.dimension = self._basis.shape
+        # Wide, each range of rows is worth a thread; narrow, all together are, beside a factor.
+        cuts = ranges(self.n, ROWS)
+        self._shares = [cuts] if self._basis.shape[1] < _WIDE else [[cut] for cut in cuts]
+        self._inverse: Floats | None = None
+        self._reciprocal: Floats = np.ones(self.dimension)
+        if energies is not None and matrix is None:
+            self._reciprocal = 1 / check_mass("energies", energies, self.dimension)
+        elif matrix is not None and energies is None:
+            self._inverse, self.dimension = inverse_energy(self._basis, check_matrix(matrix))
+        else:
+            raise InvalidInputError(
+                "`energies` or `matrix` must be given, got"
+                f" {'neither' if matrix is None else 'both'}; eigenvalues serve as energies where"
+                " the basis holds their eigenvectors"
+            )
+        self.seconds = clock.total
+
+    def __repr__(self) -> str:
+        return f"CoarseSpace(n={self.n}, dimension={self.dimension})"
+
+    def solve(self, rhs: Floats) -> Floats:
+        """Return ``Y E^-1 Y^T rhs``, the solution within the span; both of shape (n,)."""
+        out = np.zeros(self.n)
+        self.add_to(out, in_threads(call, self.restrictions(rhs)))
+        return out
+
+    def restrictions(self, rhs: Floats) -> list[tuple[Callable[..., Floats], Any, Any, Any]]:
+        """Return calls, functions with their arguments, whose results add up to ``Y^T rhs``."""
+        values = check_vector("rhs", rhs, self.n)
+        return [(_restricted, self._basis, values, rows) for rows in self._shares]
+
+    def add_to(self, out: Floats, restricted: list[Floats]) -> None:
+        """Add ``Y E^-1 c`` to `out` (n,), with c (k,) the sum of `restricted`."""
+        c = np.sum(restricted, axis=0)
+        c = c * self._reciprocal if self._inverse is None else self._inverse @ c
+        weights = c.astype(self._basis.dtype)
+        in_threads(_prolong, ((self._basis, weights, out, rows) for rows in self._shares))
+
+
+def _restricted(basis: NDArray[Any], rhs: Floats, rows: list[tuple[int, int]]) -> Floats:
+    """Return the share of some ranges of rows in ``Y^T rhs``, summed in float64."""
+    from spectra_kit._sparse._krylov_kernels import restrict
+
+    shares = np.empty((len(rows), basis.shape[1]), basis.dtype)
+    for share, (start, stop) in zip(shares, rows, strict=True):
+        restrict(basis, rhs, share, start, stop)
+    total: Floats = shares.sum(axis=0, dtype=np.float64)
+    return total
+
+
+def _prolong(
+    basis: NDArray[Any], weights: NDArray[Any], out: Floats, rows: list[tuple[int, int]]
+) -> None:
+    """Add the rows of ``Y @ weights`` to those of `out`."""
+    from spectra_kit._sparse._krylov_kernels import prolong
+
+    prolong(basis, weights, out, rows[0][0], rows[-1][1])
+
+
+class AdditiveTwoLevel:
+    """``M^-1 + Y E^-1 Y^T``: a base preconditioner and a coarse space, added.
+
+    Parameters
+    ----------
+    base : Preconditioner
+        M^-1, such as an `IncompleteCholesky`.
+    coarse : CoarseSpace
+        ``Q = Y E^-1 Y^T``.
+
+    Attributes
+    ----------
+    seconds : float
+        Time that the preparation of both took.
+
+    Raises
+    ------
+    InvalidInputError
+        If the sizes of the two disagree.
+
+    Notes
+    -----
+    Algorithm 2 of the NEO paper is `pcg` with this preconditioner, started from
+    ``coarse.solve(b)``. A low mode, of which M^-1 sees little, has an eigenvalue near one in this
+    operator. Base and coarse part run side by side.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> from spectra_kit._sparse import AdditiveTwoLevel, CoarseSpace, IncompleteCholesky
+    >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    >>> coarse = CoarseSpace(np.array([[1.0], [0.0], [-1.0]]), energies=[2.0])
+    >>> base = IncompleteCholesky(path, reorder=False)
+    >>> base.solve(np.array([1.0, 0.0, -1.0]))
+    array([2., 1., 0.])
+    >>> AdditiveTwoLevel(base, coarse).solve(np.array([1.0, 0.0, -1.0]))
+    array([ 3., 1., -1.])
+    """
+
+    def __init__(self, base: Preconditioner, coarse: CoarseSpace) -> None:
+        _check_sizes(base, coarse, coarse.n)
+        self.base, self.coarse = base, coarse
+        self.seconds: float = getattr(base, "seconds", 0.0) + coarse.seconds
+
+    def __repr__(self) -> str:
+        return f"AdditiveTwoLevel({self.base!r}, {self.coarse!r})"
+
+    def solve(self, rhs: Floats) -> Floats:
+        """Return ``base.solve(rhs) + coarse.solve(rhs)``."""
+        # The base is one task, as long as several ranges of a wide basis: it goes first.
+        out: Floats
+        out, *restricted = in_threads(
+            call, [(self.base.solve, rhs), *self.coarse.restrictions(rhs)]
+        )
+        self.coarse.add_to(out, restricted)
+        return out
+
+
+class ProjectedTwoLevel:
+    """``(I - Q A) M^-1 + Q`` with ``Q = Y E^-1 Y^T``: deflation that corrects itself.
+
+    Parameters
+    ----------
+    base : Preconditioner
+        M^-1.
+    coarse : CoarseSpace
+        Q, with the energies in `matrix`, or made from it.
+    matrix : sparse array of shape (n, n)
+        A.
+
+    Attributes
+    ----------
+    seconds : float
+        Time that the preparation of both took.
+
+    Raises
+    ------
+    InvalidInputError
+        If the sizes disagree.
+
+    Notes
+    -----
+    A-DEF2 of Tang, Nabben, Vuik & Erlangga (*J. Sci. Comput.* 39, 2009). It acts as the symmetric
+    balancing preconditioner on residuals without a component in span(Y), which is what `correct`
+    makes of the first one, and CG keeps of the rest; ``+ Q`` removes what rounding brings back,
+    so that an inexact Q does no harm, other than in plain deflation. One product with A more
+    than `AdditiveTwoLevel`, and one part after the other.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> from spectra_kit._sparse import CoarseSpace, IncompleteCholesky, ProjectedTwoLevel, pcg
+    >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    >>> coarse = CoarseSpace(np.array([[1.0], [0.0], [-1.0]]), matrix=path)
+    >>> projected = ProjectedTwoLevel(IncompleteCholesky(path), coarse, path)
+    >>> pcg(path, np.array([1.0, 0.0, -1.0]), preconditioner=projected).x
+    array([ 1., 0., -1.])
+    """
+
+    def __init__(self, base: Preconditioner, coarse: CoarseSpace, matrix: sparse.csr_array) -> None:
+        self._matrix = check_matrix(matrix)
+        _check_sizes(base, coarse, self._matrix.shape[0])
+        self.base, self.coarse = base, coarse
+        self.seconds: float = getattr(base, "seconds", 0.0) + coarse.seconds
+
+    def __repr__(self) -> str:
+        return f"ProjectedTwoLevel({self.base!r}, {self.coarse!r})"
+
+    def correct(self, residual: Floats) -> Floats:
+        """Return ``Q residual``: added to x, it leaves no residual in span(Y)."""
+        return self.coarse.solve(residual)
+
+    def solve(self, rhs: Floats) -> Floats:
+        """Return ``(I - Q A) base.solve(rhs) + coarse.solve(rhs)``."""
+        z = self.base.solve(rhs)
+        self.coarse.add_to(z, in_threads(call, self.coarse.restrictions(rhs - self._matrix @ z)))
+        return z
+
+
+def _check_sizes(base: Any, coarse: CoarseSpace, n: int) -> None:
+    if not coarse.n == getattr(base, "n", n) == n:
+        raise InvalidInputError(
+            f"`base` and `coarse` must be of one size, got {getattr(base, 'n', n)} and {coarse.n}"
+            f" points{'' if n == coarse.n else f', and a matrix of {n}'}"
+        )

@@ -1,0 +1,132 @@
+"""`Elimination`: all of a sparse factor that the pattern of a matrix decides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from spectra_kit._sparse._checks import check_matrix, check_symmetric
+from spectra_kit._sparse.minimum_degree import minimum_degree
+from spectra_kit.errors import InvalidInputError, OutOfMemoryError
+
+_MAX_ENTRIES = 2**31 - 1  # of a matrix: 32-bit indices
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Elimination:
+    """All of a factor that the pattern of a matrix decides; serves each of that pattern.
+
+    Make one with `of`. Columns are eliminated in `order`, in runs from ``begins[s]`` on that have
+    the same rows below them, ``rows[first[s]:first[s + 1]]``, counted in that order; ``above[s]``
+    is the run whose columns these begin with, and the factor holds run s from ``panels[s]`` on.
+    `sizes` are those of memory that the numbers need while they are made.
+
+    Examples
+    --------
+    >>> from scipy import sparse
+    >>> from spectra_kit._sparse import SparseLDL
+    >>> from spectra_kit._sparse.elimination import Elimination
+    >>> A = sparse.diags_array([-1.0, 3.0, -1.0], offsets=[-1, 0, 1], shape=(9, 9), format="csr")
+    >>> shared = Elimination.of(A)
+    >>> [SparseLDL(matrix, elimination=shared).n for matrix in (A, 2 * A)]
+    [9, 9]
+    """
+
+    starts: NDArray[np.int32]
+    columns: NDArray[np.int32]
+    order: NDArray[np.int32]
+    begins: NDArray[np.int32]
+    first: NDArray[np.int64]
+    rows: NDArray[np.int32]
+    above: NDArray[np.int32]
+    panels: NDArray[np.int64]
+    sizes: NDArray[np.int64]
+
+    @staticmethod
+    def of(matrix: sparse.csr_array) -> Elimination:
+        """Find an order for the pattern of a symmetric matrix, and what follows from it.
+
+        Parameters
+        ----------
+        matrix : sparse array of shape (n, n)
+            Both triangles stored.
+
+        Returns
+        -------
+        Elimination
+            For all matrices of that pattern.
+
+        Raises
+        ------
+        InvalidInputError
+            If `matrix` is not square, finite and symmetric, or has too many entries.
+        OutOfMemoryError
+            If there is no room for it.
+
+        Examples
+        --------
+        >>> from scipy import sparse
+        >>> from spectra_kit._sparse.elimination import Elimination
+        >>> A = sparse.diags_array([-1.0, 3.0, -1.0], offsets=[-1, 0, 1], shape=(9, 9))
+        >>> Elimination.of(sparse.csr_array(A)).fill >= 8
+        True
+        """
+        A = symmetric(matrix)
+        if A.nnz > _MAX_ENTRIES:
+            raise InvalidInputError("matrix", f"have at most {_MAX_ENTRIES} entries", A.nnz)
+        try:
+            return _analysed(A)
+        except MemoryError as error:
+            raise no_memory(A.shape[0]) from error
+
+    @property
+    def gigabytes(self) -> float:
+        """What a factor takes in GiB, and all that is held while it is made."""
+        shared = sum(int(part.nbytes) for part in vars(self).values())
+        numbers = self.fill + 2 * len(self.order) + int(self.sizes.sum())
+        return (8 * numbers + shared) / 2**30
+
+    @property
+    def fill(self) -> int:
+        """Entries that a factor holds below its diagonal; some of them are zero."""
+        return int(self.panels[-1])
+
+    def serves(self, matrix: sparse.csr_array) -> bool:
+        """Return whether `matrix` has the pattern that this was made for."""
+        pattern = (self.starts, self.columns)
+        return all(map(np.array_equal, pattern, (matrix.indptr, matrix.indices)))
+
+
+def symmetric(matrix: sparse.csr_array) -> sparse.csr_array:
+    """Return a matrix with the pattern of its transpose, on which the loops rely."""
+    A = check_matrix(matrix)
+    check_symmetric(A)
+    other = sparse.csr_array(A.T)
+    other.sort_indices()
+    if all(map(np.array_equal, (A.indptr, A.indices), (other.indptr, other.indices))):
+        return A
+    return check_matrix((A + other) / 2)
+
+
+def _analysed(A: sparse.csr_array) -> Elimination:
+    from spectra_kit._sparse import _frontal_kernels as kernels
+
+    starts, columns = (np.require(part, None, "W") for part in (A.indptr, A.indices))
+    order, parent, below = kernels.elimination_tree(starts, columns, minimum_degree(A))
+    begins = kernels.supernodes(parent, below)
+    first, rows, above, sizes = kernels.front_rows(starts, columns, order, parent, below, begins)
+    width = np.diff(begins).astype(np.int64)
+    entries = width * (width - 1) // 2 + width * np.diff(first)
+    panels = np.append(0, np.cumsum(entries))
+    return Elimination(starts, columns, order, begins, first, rows, above, panels, sizes)
+
+
+def no_memory(n: int) -> OutOfMemoryError:
+    """Return the error of a factor that is too large."""
+    return OutOfMemoryError(
+        f"the factor of {n} unknowns does not fit into memory; use a method without one, such as"
+        " Cascade() or geodesics.Iterative()"
+    )

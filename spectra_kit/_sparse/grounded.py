@@ -1,0 +1,221 @@
+"""Direct solution of a singular system: one point of each component held at zero."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from spectra_kit._core.clock import Clock
+from spectra_kit._core.types import Floats
+from spectra_kit._sparse._checks import check_kernel, check_matrix, check_rhs, check_symmetric
+from spectra_kit._sparse.constant_kernel import ConstantKernel
+from spectra_kit._sparse.elimination import Elimination
+from spectra_kit._sparse.ldl import SparseLDL
+from spectra_kit._sparse.solution import LinearSolution
+from spectra_kit.errors import InvalidInputError
+
+_ACCURATE = 1e-7  # relative residual up to which a direct solution is one
+
+
+class GroundedCholesky:
+    """A Cholesky factor of a Laplacian with constant kernel, for any number of right-hand sides.
+
+    Parameters
+    ----------
+    matrix : sparse array of shape (n, n)
+        Symmetric positive semi-definite; both triangles stored.
+    kernel : ConstantKernel, optional
+        The kernel of `matrix`. Without it `matrix` is factorised as it is.
+    elimination : Elimination, optional
+        Of a matrix with the same pattern, as for `SparseLDL`.
+
+    Attributes
+    ----------
+    seconds : float
+        Time the factor took.
+
+    Raises
+    ------
+    InvalidInputError
+        If `matrix` is not square, finite and symmetric, or not positive definite apart from
+        `kernel`; if `kernel` is of another size or not in the kernel of `matrix`. From `solve`: if
+        the residual is not that of a solution, because the kernel is larger, or nearly so.
+
+    Notes
+    -----
+    The solution is determined up to a constant on each component of the kernel. The factor fixes
+    that by clearing the row and column of one of its points off the diagonal, where the value is
+    then zero: as a right-hand side in the range sums to zero, the equation that was dropped holds
+    too. Each constant is moved to mean zero afterwards.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> from spectra_kit._sparse import ConstantKernel, GroundedCholesky
+    >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    >>> GroundedCholesky(path, ConstantKernel([0, 0, 0])).solve(np.array([1.0, 0.0, -1.0]))
+    array([ 1.,  0., -1.])
+    """
+
+    def __init__(
+        self,
+        matrix: sparse.csr_array,
+        kernel: ConstantKernel | None = None,
+        *,
+        elimination: Elimination | None = None,
+    ) -> None:
+        clock = Clock()
+        self._matrix = check_matrix(matrix)
+        check_symmetric(self._matrix)
+        self._kernel = check_kernel(kernel, self._matrix)
+        self.n: int = self._matrix.shape[0]
+        self._held = np.zeros(self.n, dtype=bool)
+        if self._kernel is not None:
+            labels, first = np.unique(self._kernel.labels, return_index=True)
+            self._held[first[labels >= 0]] = True
+        held = _held_at_zero(self._matrix, self._held)
+        self._factor = SparseLDL(held, elimination=elimination)
+        self.seconds = clock.total
+
+    def solve(self, rhs: ArrayLike) -> Floats:
+        """Solve ``matrix @ x = rhs``.
+
+        Parameters
+        ----------
+        rhs : array_like of shape (n,)
+            In the range of `matrix`.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            x, with mean zero on each component of the kernel.
+
+        Raises
+        ------
+        InvalidInputError
+            If `rhs` is of another shape, not finite or not in the range, or x is no solution.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit import robust_laplacian
+        >>> from spectra_kit.geometry import sphere
+        >>> from spectra_kit._sparse import ConstantKernel, GroundedCholesky
+        >>> laplacian = robust_laplacian(sphere(subdivisions=3).geometry)
+        >>> kernel = ConstantKernel(laplacian.component_labels)
+        >>> height = laplacian.points[:, 2]  # an eigenfunction of the sphere, of eigenvalue 2
+        >>> x = GroundedCholesky(laplacian.stiffness, kernel).solve(2 * laplacian.mass * height)
+        >>> bool(np.abs(x - height).max() < 0.02)
+        True
+        """
+        return self.solution(rhs).x
+
+    def solution(self, rhs: ArrayLike) -> LinearSolution:
+        """Solve, and say how well and how fast.
+
+        Parameters
+        ----------
+        rhs : array_like of shape (n,)
+            As for `solve`, which says what is refused.
+
+        Returns
+        -------
+        LinearSolution
+            Of no iterations and one residual.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from scipy import sparse
+        >>> from spectra_kit._sparse import GroundedCholesky
+        >>> factor = GroundedCholesky(sparse.csr_array([[2.0, -1.0], [-1.0, 2.0]]))
+        >>> factor.solution(np.array([1.0, 1.0])).method
+        'Cholesky'
+        """
+        return self.solutions([rhs])[0]
+
+    def solutions(self, sides: Sequence[ArrayLike]) -> list[LinearSolution]:
+        """Solve for several right-hand sides at once, which takes less time than one by one.
+
+        Parameters
+        ----------
+        sides : sequence of array_like of shape (n,)
+            Each as for `solve`, which says what is refused.
+
+        Returns
+        -------
+        list of LinearSolution
+            Bit by bit what `solution` returns for each of them, but for the seconds: what they took
+            together is shared out evenly.
+
+        Examples
+        --------
+        >>> from scipy import sparse
+        >>> from spectra_kit._sparse import GroundedCholesky
+        >>> factor = GroundedCholesky(sparse.csr_array([[2.0, -1.0], [-1.0, 2.0]]))
+        >>> [solution.x for solution in factor.solutions([[1.0, 1.0], [3.0, 0.0]])]
+        [array([1., 1.]), array([2., 1.])]
+        """
+        if not sides:
+            return []
+        clock = Clock()
+        checked = [check_rhs(rhs, self.n, self._kernel) for rhs in sides]
+        freed = np.column_stack([np.where(self._held, 0.0, b) for b in checked])
+        solved = np.ascontiguousarray(self._factor.solve(freed).T)
+        found = [self._accurate(b, x) for b, x in zip(checked, solved, strict=True)]
+        seconds = clock.total / len(sides)
+        return [replace(one, seconds=seconds, times=np.array([seconds])) for one in found]
+
+    def _accurate(self, b: Floats, x: Floats) -> LinearSolution:
+        """Return what the factor made of `b`, if it is a solution; of no time."""
+        if self._kernel is not None:
+            x = self._kernel.remove(x)
+        residual, norm = _norm(b - self._matrix @ x), _norm(b)
+        if not residual <= _ACCURATE * norm:
+            raise InvalidInputError(
+                "`matrix` must be nonsingular apart from `kernel`, but its direct solution leaves"
+                f" a residual of {residual / norm:.1e} ||rhs||. The Laplacian of triangles that are"
+                " all but flat is that near to singular: for distances, pass"
+                " intrinsic_delaunay(mesh, mollify_factor=1e-3) in place of the mesh. For a matrix"
+                " of your own, pass the kernel of a Neumann Laplacian as"
+                " ConstantKernel(laplacian.component_labels)"
+            )
+        return LinearSolution(
+            x=x,
+            residual_norms=np.array([residual]),
+            rhs_norm=norm,
+            converged=True,
+            method="Cholesky",
+            setup_seconds=self.seconds,
+            seconds=0.0,
+            times=np.zeros(1),
+        )
+
+
+def _held_at_zero(matrix: sparse.csr_array, held: NDArray[np.bool_]) -> sparse.csr_array:
+    """Return `matrix` with rows and columns of points cleared but for a one on the diagonal.
+
+    In the same pattern, if all diagonal entries are stored.
+    """
+    if not held.any():
+        return matrix
+    rows = np.repeat(np.arange(matrix.shape[0], dtype=np.int32), np.diff(matrix.indptr))
+    entries = np.where(held[rows] | held[matrix.indices], 0.0, matrix.data)
+    own = np.flatnonzero(rows == matrix.indices)
+    entries[own[held[rows[own]]]] = 1.0
+    cleared = sparse.csr_array((entries, matrix.indices, matrix.indptr), matrix.shape)
+    missing = held.copy()
+    missing[rows[own]] = False
+    return (
+        sparse.csr_array(cleared + sparse.diags_array(1.0 * missing)) if missing.any() else cleared
+    )
+
+
+def _norm(values: Floats) -> float:
+    """Return the 2-norm, without BLAS: its threads would take longer to meet than to add."""
+    return float(np.sqrt(np.square(values).sum()))

@@ -1,0 +1,234 @@
+"""Spectrum slicing: many eigenpairs from Lanczos runs around several shifts, and counts."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from spectra_kit._core.clock import Clock
+from spectra_kit._core.threads import single_threaded_blas, team
+from spectra_kit._core.types import Floats
+from spectra_kit._sparse.block_lanczos import BlockLanczos, combined, inner
+from spectra_kit._sparse.elimination import Elimination
+from spectra_kit._sparse.ldl import SparseLDL
+from spectra_kit.errors import InvalidInputError
+
+_BLOCK = 8  # vectors of a step: solved together they cost a third; more need a larger space
+#: The same where clusters are larger than a space of those finds: four times as much memory.
+WIDE = 4 * _BLOCK
+_ENOUGH = 64  # steps of a run: beyond, another factor costs less than their products
+_STEPS = 88  # the same at most, where the modes below its shift are not yet all found
+#: Vectors of a space at most.
+MOST = _STEPS * _BLOCK
+# Of its distance to the first shift have as many modes as Weyl's law says. On real models 0.6 to 2
+# take one shift more at most, for 300 modes.
+_GUESS = 0.8
+_FIRST = 80  # modes below the first shift, at most
+_LOOK = 4  # steps between two looks at what has converged
+_ONE_SIDED = 0.7  # of what the first run reached above its shift, others reach to either side
+_SAFE = 0.8  # of what the last run reached, the next is asked for
+_DENSITY = 100  # modes whose distance tells where the next are
+_ROUNDING = 1e-12  # residuals of the inverse, relative to its eigenvalues
+_LOOSEST = 1e-6  # the same: its square, of what runs share, must be rounding
+_BORDER = 1e-7  # of the distance of two shifts: a narrower gap may be one within a cluster
+_ACCURATE = 1e-10  # backward error of a solution, entry by entry
+# Times as many modes below a shift as expected are too many for one run. With a guess of 2, which
+# is too far, 1.1 to 2.5 take as many shifts on these.
+_DENSER = 1.5
+# Of the distance of two shifts, where the later one has no factor: off an eigenvalue, by less than
+# a run notices, as it finds tens of them.
+_NUDGE = 1e-3
+# Shifts tried in a row that lead to nothing: a distance halved so often is a thousandth.
+_CLOSER = 10
+
+
+class Sliced(NamedTuple):
+    """What `sliced_eigenpairs` found.
+
+    Attributes
+    ----------
+    eigenvalues : ndarray of shape (m,)
+        The m <= k lowest, ascending.
+    eigenvectors : ndarray of shape (n, m)
+        M-orthonormal.
+    shifts : int
+        Factors that were made.
+    seconds : dict
+        Wall time by stage.
+    """
+
+    eigenvalues: Floats
+    eigenvectors: Floats
+    shifts: int
+    seconds: dict[str, float]
+
+
+def vectors_held(k: int) -> int:
+    """Return how many vectors of n numbers `sliced_eigenpairs` holds for k modes, at most.
+
+    A space, and three copies of what one finds beside what all found; or three copies of these.
+    """
+    space = min(MOST, 4 * k + 16 * _BLOCK) + _BLOCK
+    return max(space + k + 3 * min(k, MOST // 4), 3 * k)
+
+
+@single_threaded_blas()
+def sliced_eigenpairs(
+    stiffness: sparse.csr_array,
+    mass: Floats,
+    k: int,
+    *,
+    below: float,
+    spacing: float,
+    tol: float = 0.0,
+    most_shifts: int = 1000,
+    seed: int = 0,
+    block: int = _BLOCK,
+) -> Sliced:
+    """Return the k lowest eigenpairs of ``L u = lambda M u``; fewer if `most_shifts` are too few.
+
+    Around one shift after the other: block Lanczos with ``(A - sigma)^-1``,
+    ``A = M^-1/2 L M^-1/2``, until residuals are `tol` of its eigenvalues, or rounding. The inertia
+    of a factor is the number of eigenvalues below its shift: two runs go on until what they found
+    between them is all there is, or the later shift moves closer. They are put together at the
+    widest gap of what both found, which keeps clusters whole. The first shift is amid the wanted
+    eigenvalues, as far as the mean `spacing` of eigenvalues tells; all of them are above `below`.
+    With larger blocks than usual, a run takes all modes that its space has room for.
+
+    After Grimes, Lewis and Simon, *A shifted block Lanczos algorithm for solving sparse symmetric
+    generalized eigenproblems*, 1994.
+    """
+    clock, root = Clock(), np.sqrt(mass)
+    room = min(_STEPS * block, len(mass) // 2) // 4  # modes that a space of so many vectors finds
+    tol = min(max(tol, _ROUNDING), _LOOSEST)
+    scaling = sparse.diags_array(1 / root)
+    A = sparse.csr_array(scaling @ stiffness @ scaling)
+    values, X = np.empty(k), np.empty((k, len(mass)))  # rows are eigenvectors of A
+    first, counted, found = 0, 0, 0  # modes below the last run, below its shift, and all
+    last, ahead, reach, shifts, closer = below, min(-(-k // 2), _FIRST), 1.0, 0, 0
+    sigma, shared = below + _GUESS * ahead * spacing, None
+    with team():
+        while found < k and shifts < most_shifts and closer < _CLOSER:
+            top = values[found - 1] if found else last
+            factor = _factor(A, sigma, shared)
+            shifts += 1
+            clock.stage("factor")
+            if factor is None:
+                sigma, closer = sigma + _NUDGE * (sigma - last), closer + 1
+                continue
+            number, shared = factor.inertia.negative, factor.elimination
+            if number - found > (_DENSER * ahead if block == _BLOCK else room):
+                sigma, closer = top + (sigma - top) * ahead / (number - found), closer + 1
+                continue
+            run = _Run(factor, sigma, tol, seed + shifts, block)
+            above = min(ahead if found else k, k - number)
+            cut = run.until(values[counted:found], number - counted, last, above)
+            clock.stage("lanczos")
+            if cut is None:
+                sigma, closer = top + (sigma - top) / 2, closer + 1
+                continue
+            # From the widest gap on, the modes are those of this run.
+            lower, upper = run.below[len(run.below) - (number - counted - cut) :], run.above
+            begin, end = counted + cut, min(k, number + len(upper))
+            values[begin:end], new = run.pairs(np.concatenate([lower, upper])[: end - begin])
+            # What is farther than a run away is orthogonal where residuals are rounding.
+            before = X[first if tol <= _ROUNDING else 0 : begin]
+            X[begin:end] = new - combined(inner(new, before), before)
+            clock.stage("pairs")
+            gained, found = end > found, end
+            if end < 2:
+                break  # nothing to go by
+            reached = min(len(run.below), len(upper)) if number else _ONE_SIDED * len(upper)
+            reach = max(reach, _SAFE * reached)
+            first, last, counted = begin, sigma, min(number, k)
+            closer = 0 if gained else closer + 1
+            ahead = math.ceil((k - found) / (2 * max(1, math.ceil((k - found) / (2 * reach)))))
+            some = min(_DENSITY, found - 1)
+            del run  # its space, before there is another
+            sigma = values[found - 1] + ahead * np.ptp(values[found - 1 - some : found]) / some
+    U = np.ascontiguousarray((X[:found] / root).T)
+    return Sliced(values[:found], U, shifts, clock.seconds)
+
+
+def _factor(A: sparse.csr_array, sigma: float, shared: Elimination | None) -> SparseLDL | None:
+    """Factorise ``A - sigma``; nothing where no factor without pivoting is accurate."""
+    shifted = sparse.csr_array(A - sigma * sparse.eye_array(A.shape[0]))
+    try:
+        factor = SparseLDL(shifted, definite=False, elimination=shared)
+    except InvalidInputError:
+        return None
+    ones = np.ones(factor.n)
+    x = factor.solve(ones)
+    error = np.abs(shifted @ x - ones) / (abs(shifted) @ np.abs(x) + ones)
+    return factor if error.max() <= _ACCURATE else None
+
+
+class _Run:
+    """Lanczos around one shift."""
+
+    def __init__(self, factor: SparseLDL, sigma: float, tol: float, seed: int, block: int) -> None:
+        self._factor, self._sigma, self._tol, self._block = factor, sigma, tol, block
+        self._most = min(_STEPS, factor.n // (2 * block)) // _LOOK * _LOOK * block
+        self._krylov = BlockLanczos(factor.solve, factor.n, block=block, most=self._most, seed=seed)
+
+    def until(self, known: Floats, number: int, last: float, above: int) -> int | None:
+        """Go on until `above` modes have converged above the shift, and all below it.
+
+        Where there are so many vectors that another shift is better, until the latter. `known` are
+        found above the `last` shift, `number` of modes lie between the two. Returns how many of
+        those known to take, None if that cannot be said.
+        """
+        krylov, cut, enough = self._krylov, None, _ENOUGH * self._block
+        while krylov.size < self._most:
+            krylov.step()
+            if krylov.size % (_LOOK * self._block):
+                continue
+            self._look()
+            values = self._sigma + 1 / self._ritz.values[self.below]
+            cut = _cut(known, values, number, _BORDER * (self._sigma - last))
+            if cut is not None and (len(self.above) >= above or krylov.size >= enough):
+                break
+        return cut
+
+    def pairs(self, kept: NDArray[np.intp]) -> tuple[Floats, Floats]:
+        """Return eigenvalues and eigenvectors, as rows that are orthonormal to rounding."""
+        inverse = self._ritz.values[kept]
+        X = self._krylov.lifted(self._ritz.rotation[:, kept])
+        # One more product takes out what rounding left of high frequencies.
+        X = np.ascontiguousarray((self._factor.solve(X.T) / inverse).T)
+        error = inner(X, X) - np.eye(len(kept))
+        return self._sigma + 1 / inverse, X - combined(error / 2, X)
+
+    def _look(self) -> None:
+        """See which pairs have converged, without a hole up to the farthest from the shift."""
+        self._ritz = ritz = self._krylov.ritz()
+        good = ritz.residuals <= self._tol * np.abs(ritz.values)
+        negative = int((ritz.values < 0).sum())
+        # Close to the shift are the ends: eigenvalues of the inverse are largest there.
+        self.below = np.arange(_leading(good[:negative]))[::-1]
+        self.above = len(good) - 1 - np.arange(_leading(good[negative:][::-1]))
+
+
+def _leading(good: NDArray[np.bool_]) -> int:
+    """Return how many entries are true before the first that is not."""
+    return len(good) if good.all() else int(good.argmin())
+
+
+def _cut(known: Floats, found: Floats, number: int, narrow: float) -> int | None:
+    """Return how many of the lower values to take so that with upper ones they are `number`.
+
+    Both are ascending, what is `known` from the lower end of an interval on, what was `found` up to
+    its upper end. None where they do not meet, or in no gap that is not `narrow`.
+    """
+    least, most = max(0, number - len(found)), min(len(known), number)
+    if least > most:
+        return None
+    takes = np.arange(least, most + 1)
+    below = np.concatenate([[-np.inf], known])[takes]
+    above = np.append(found, np.inf)[len(found) - (number - takes)]
+    best = int(np.argmax(above - below))
+    return int(takes[best]) if above[best] - below[best] > narrow else None

@@ -1,0 +1,246 @@
+"""What a run is about: files, patterns, folders and manifests become names with paths."""
+
+from __future__ import annotations
+
+import csv
+import glob
+import os
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+from spectra_kit._core.checked import checked
+from spectra_kit._core.fingerprint import facts_digest
+from spectra_kit._core.validate import check_count
+from spectra_kit.datasets.files import MARK
+from spectra_kit.errors import InvalidFileError, InvalidInputError
+from spectra_kit.geometry.formats.foreign import advice_for
+from spectra_kit.geometry.io import READERS, readable_files
+
+_PATTERN = "*?["
+_FILE = "file"  # column of a manifest
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class Input:
+    """A file to compute, and what else is known of it.
+
+    Parameters
+    ----------
+    name : str
+        By which the store and the table know it.
+    path : Path
+        The file.
+    columns : dict of str to str, optional
+        Further columns of a manifest, for the table.
+    """
+
+    name: str
+    path: Path
+    columns: Mapping[str, str] = field(default_factory=dict)
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class Pair:
+    """Two shapes of a store to match, and what else is known of them.
+
+    Parameters
+    ----------
+    source, target : str
+        Their names in the store.
+    columns : dict of str to str, optional
+        For the table.
+    """
+
+    source: str
+    target: str
+    columns: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Both names."""
+        return f"{self.source} to {self.target}"
+
+
+Named = TypeVar("Named", Input, Pair)
+
+
+@checked
+def find_inputs(sources: Sequence[str | os.PathLike[str]]) -> list[Input]:
+    """Return what files, patterns, folders and manifests name.
+
+    Parameters
+    ----------
+    sources : sequence of path-like
+        Files of any format that `geometry.read` knows; patterns with ``*``, ``?``, ``[]`` and
+        ``**``; folders, of which all such files are taken, those of folders inside, too; and
+        manifests: CSV files whose column ``file`` names files, relative to the manifest. A column
+        ``name`` names them otherwise, further ones are handed on to the table. Links to folders are
+        followed; one to nothing is a file that cannot be read.
+
+    Returns
+    -------
+    list of Input
+        In the order of the sources, those of a pattern or a folder in that of their names. Each is
+        named by its path as it was given, with ``/`` between folders.
+
+    Raises
+    ------
+    InvalidInputError
+        If a source names nothing, or two files have one name.
+    InvalidFileError
+        If a manifest is not there, or has no column ``file``, or an empty cell in it; or if two of
+        its columns have one name, or one has none.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import spectra_kit as sk
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> for i in range(2):
+    ...     sk.geometry.write(sk.geometry.creature(600, seed=i), folder / f"animal{i}.off")
+    >>> [one.path.name for one in sk.datasets.find_inputs([folder])]
+    ['animal0.off', 'animal1.off']
+    """
+    found = [one for source in sources for one in _inputs_of(os.fspath(source))]
+    if not found:
+        raise InvalidInputError("sources", "name a file at least", "none")
+    refuse_twice("sources", [one.name for one in found])
+    return found
+
+
+@checked
+def shard(inputs: Sequence[Named], part: int, parts: int) -> list[Named]:
+    """Return one of several parts of the inputs, for runs that share a store and nothing else.
+
+    Parameters
+    ----------
+    inputs : sequence of Input or Pair
+        All of them.
+    part : int
+        Which, from 1 to `parts`.
+    parts : int
+        How many.
+
+    Returns
+    -------
+    list of Input or Pair
+        Chosen by a hash of the names: what is added later moves none from one part to another.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no such part.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import spectra_kit as sk
+    >>> every = [sk.datasets.Input(name=f"{i}.off", path=Path(f"{i}.off")) for i in range(100)]
+    >>> sum(len(sk.datasets.shard(every, part, 4)) for part in (1, 2, 3, 4))
+    100
+    """
+    check_count("parts", parts, low=1)
+    check_count("part", part, low=1, high=parts)
+    return [one for one in inputs if int(facts_digest({"name": one.name}), 16) % parts == part - 1]
+
+
+def refuse_twice(argument: str, names: Sequence[str]) -> None:
+    """Refuse things of one name: results are kept and told by names."""
+    if len(set(names)) == len(names):
+        return
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    raise InvalidInputError(
+        argument,
+        "have names of their own",
+        f"{len(twice):,} several times, such as {twice[0]!r}",
+        advice="leave one out, or name them in a manifest",
+    )
+
+
+def _inputs_of(source: str) -> Iterator[Input]:
+    path = Path(source)
+    if path.suffix.lower() == ".csv":
+        yield from _listed(path)
+    elif path.is_dir():
+        yield from _some(source, _inside(path), "hold meshes or clouds")
+    elif any(sign in source for sign in _PATTERN) and not path.exists():
+        matches = map(Path, glob.glob(source, recursive=True))
+        yield from _some(source, matches, "match meshes or clouds")
+    else:
+        yield Input(name=path.as_posix(), path=path)  # to read it will tell what is wrong with it
+
+
+def _inside(folder: Path, above: frozenset[tuple[int, int]] = frozenset()) -> Iterator[Path]:
+    """Yield what is in a folder and those inside, linked ones too, but for stores.
+
+    A link to one of the folders `above` leads nowhere else.
+    """
+    state = folder.stat()
+    one = (state.st_dev, state.st_ino)
+    if one in above or (folder / MARK).exists():  # what a store holds is not for reading
+        return
+    for path in folder.iterdir():
+        if path.is_dir():
+            yield from _inside(path, above | {one})
+        else:
+            yield path
+
+
+def _some(source: str, found: Iterable[Path], expected: str) -> Iterator[Input]:
+    found = list(found)
+    paths = readable_files(found)
+    if not paths:
+        known = ", ".join(sorted(READERS))
+        other = min((path for path in found if path.suffix), default=None)
+        advice = f"of {other.name!r}: {advice_for(other)}" if other else ""
+        raise InvalidInputError(repr(source), f"{expected} ({known})", "none", advice=advice)
+    yield from (Input(name=path.as_posix(), path=path) for path in paths)
+
+
+def _listed(manifest: Path) -> Iterator[Input]:
+    """Return what a manifest names."""
+    for row in rows_of(manifest, "manifest", (_FILE,)):
+        path = Path(row[_FILE])
+        others = {key: cell for key, cell in row.items() if key not in (_FILE, "name")}
+        yield Input(
+            name=row.get("name") or path.as_posix(), path=manifest.parent / path, columns=others
+        )
+
+
+def rows_of(path: Path, what: str, needed: Sequence[str]) -> Iterator[dict[str, str]]:
+    """Return the rows of a CSV file that has some columns, and no empty cell in them."""
+    if not path.is_file():
+        raise InvalidFileError(path, "there is no such file")
+    with path.open(newline="", encoding="utf-8-sig") as file:  # as spreadsheets write it
+        try:
+            table = csv.DictReader(file, strict=True)
+            rows, columns = list(table), list(table.fieldnames or ())
+        except (csv.Error, UnicodeDecodeError) as error:
+            raise InvalidFileError(path, f"not a table of commas in UTF-8 ({error})") from error
+    last = columns[-1] if columns else ""
+    if not last.strip() and columns.count(last) == 1 and not any(row[last] for row in rows):
+        rows = [{name: cell for name, cell in row.items() if name != last} for row in rows]
+        columns.pop()  # spreadsheets end each line with a comma
+    header = [name.strip() for name in columns]
+    if rows and not (all(header) and len(set(header)) == len(header)):
+        problem = InvalidInputError(
+            what, "name each column, and otherwise than the others", ", ".join(map(repr, header))
+        )
+        raise InvalidFileError(path, problem)
+    names = " and ".join(map(repr, needed))
+    if not rows or not set(needed) <= set(rows[0]):
+        got = ", ".join(map(str, rows[0])) if rows else "no row"
+        kind = "a column" if len(needed) == 1 else "columns"
+        raise InvalidFileError(path, InvalidInputError(what, f"have {kind} {names}", got))
+    for number, row in enumerate(rows, start=2):
+        if None in row or None in row.values() or not all(row[name] for name in needed):
+            raise InvalidFileError(
+                path, f"line {number} has not a cell for each column, or none for {names}"
+            )
+        yield row

@@ -1,0 +1,45 @@
+"""`Spectrum`: the one object every eigensolver produces and every application consumes.
+
+What is known of its modes stands in its `Certificate`, where they come from in its `Provenance`.
+
+
+
+Interchangeable eigensolvers behind `eigensolve`.
+"""
+
+from spectra_kit.eigen.arpack import Arpack
+from spectra_kit.eigen.automatic import Automatic
+from spectra_kit.eigen.base import Eigenpairs, Eigensolver, NotConvergedError
+from spectra_kit.eigen.cascade import Cascade
+from spectra_kit.eigen.certificate import Certificate, ModeCount
+from spectra_kit.eigen.dense import Dense
+from spectra_kit.eigen.many import eigensolve_many
+from spectra_kit.eigen.neo import Neo
+from spectra_kit.eigen.provenance import Provenance
+from spectra_kit.eigen.rayleigh_ritz import RayleighRitz
+from spectra_kit.eigen.refined import Refined
+from spectra_kit.eigen.shortcut import spectrum
+from spectra_kit.eigen.solve import eigensolve
+from spectra_kit.eigen.spectrum import Spectrum
+from spectra_kit.eigen.verification import verify
+
+__all__ = [
+    "Arpack",
+    "Automatic",
+    "Cascade",
+    "Certificate",
+    "Dense",
+    "Eigenpairs",
+    "Eigensolver",
+    "ModeCount",
+    "Neo",
+    "NotConvergedError",
+    "Provenance",
+    "RayleighRitz",
+    "Refined",
+    "Spectrum",
+    "eigensolve",
+    "eigensolve_many",
+    "spectrum",
+    "verify",
+]

@@ -1,0 +1,100 @@
+"""What a backend is: the `Eigensolver` protocol and what passes through it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._core.types import Floats
+from spectra_kit.operators.laplacian import Laplacian
+
+#: What a backend goes on for: until rounding, until the residuals asked for, or so much work.
+Promise = Literal["exact", "to tolerance", "approximate"]
+
+
+class Eigenpairs(NamedTuple):
+    """What a backend returns; a plain ``(eigenvalues, eigenvectors)`` does as well.
+
+    Attributes
+    ----------
+    eigenvalues : ndarray of shape (k,)
+        In any order.
+    eigenvectors : ndarray of shape (n, k)
+        M-orthonormal columns.
+    seconds : mapping of str to float, optional
+        Wall time of the backend's own stages, where it tells them apart.
+    iterations : int, optional
+        How many an iterative backend took.
+    errors : ndarray of shape (k,), optional
+        Relative errors of the eigenvalues as an approximate backend estimates them.
+    solver : Eigensolver, optional
+        What solved, where a backend chose another one.
+    reason : str, optional
+        Why it chose this one.
+    """
+
+    eigenvalues: Floats
+    eigenvectors: Floats
+    seconds: Mapping[str, float] | None = None
+    iterations: int | None = None
+    errors: Floats | None = None
+    solver: Eigensolver | None = None
+    reason: str = ""
+
+
+@runtime_checkable
+class Eigensolver(Protocol):
+    """A backend: a frozen dataclass of its hyper-parameters with this one method.
+
+    Only `eigensolve` calls it: with a Neumann-like `Laplacian` that is connected (or, where points
+    were fixed, one connected part of the free points), and 1 <= k <= n. It then checks, sorts and
+    certifies what comes back, so a backend does none of that.
+
+    A backend may have two more attributes. ``promise`` says what its answers are (`Promise`):
+    where they are to be exact or to a tolerance, `eigensolve` counts the eigenvalues and completes
+    what was missed. ``name`` is what `Provenance` calls it, if not its class in lower case.
+
+    What gains from many operators at once may have a method ``begin(laplacians, k)``. It does what
+    they share, and returns a function for each that does the rest: without arguments, in any
+    thread, with the result of ``eigenpairs``. Only `eigensolve_many` calls it.
+    """
+
+    def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs | tuple[Floats, Floats]:
+        """Return the k lowest eigenpairs of `laplacian`.
+
+        Raises
+        ------
+        NotConvergedError
+            With the pairs there are; `eigensolve` certifies them and raises `ConvergenceError`.
+        """
+        ...
+
+
+class NotConvergedError(Exception):
+    """A backend stopped short; carries the `Eigenpairs` that it has (possibly none).
+
+    `converged` says which of them reached the tolerance, (k,) of bool; all do without it. `advised`
+    are ``advice`` and ``remedies``, as of `SpectraKitError`.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        pairs: Eigenpairs | None = None,
+        converged: NDArray[np.bool_] | None = None,
+        **advised: Any,
+    ) -> None:
+        super().__init__(message)
+        self.pairs, self.converged, self.advised = pairs, converged, advised
+
+
+def set_device(solver: Any) -> None:
+    """Let the device of a frozen solver be a name, of one that torch can use here."""
+    object.__setattr__(solver, "device", str(solver.device))
+    if solver.device != "cpu":  # which needs no torch
+        from spectra_kit._sparse.torch_device import check_device
+
+        check_device(solver.device)

@@ -1,0 +1,440 @@
+"""How far one spectrum is from another on the same points, whoever computed either.
+
+Eigenvectors carry an arbitrary sign, and near-equal eigenvalues an arbitrary basis of their space.
+So `compare_spectra` first pairs the modes one to one, then compares single vectors (the paper's
+metrics) and, beside them, whole clusters of near-equal eigenvalues as subspaces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._core.checked import checked
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import Brief, check_count, check_mass, frozen
+from spectra_kit._sparse.orthonormal import orthonormalize
+from spectra_kit.eigen.spectrum import Spectrum
+from spectra_kit.eigen.subspaces.base import Subspace
+from spectra_kit.eigen.subspaces.given import restricted
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.operators.laplacian import Laplacian
+
+# Moving one place in the order must win this much squared cosine: modes that nothing
+# resembles stay where they are.
+_MOVE_COST = 0.01
+_ORTHONORMAL = 1e-5  # modes further from it have errors that mean nothing; single precision fits
+
+
+@checked
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Comparison(Brief):
+    """The errors of a predicted spectrum, mode by mode.
+
+    Attributes
+    ----------
+    eigenvalues : ndarray of shape (k,)
+        The exact ones, in 1/length^2.
+    predicted_eigenvalues : ndarray of shape (k,)
+        The predicted ones, paired with them.
+    match : ndarray of int of shape (k,)
+        Which predicted mode was paired with each exact one; no mode is used twice.
+    span_error : ndarray of shape (k,)
+        Energy of each exact mode outside the predicted span, ``1 - |Y^T M u_i|^2``, in [0, 1].
+    span_dimension : int
+        Number of orthonormal columns of Y.
+    vector_error : ndarray of shape (k,)
+        ``|u_i - v_i|_M^2`` for the paired vector, sign aligned, in [0, 2].
+    eigenvalue_error : ndarray of shape (k,)
+        ``|lambda_i - lambda'_i| / lambda_i``; NaN for zero modes, which have no relative error.
+    cluster_error : ndarray of shape (k,)
+        Like `vector_error`, after the best rotation inside each cluster and averaged over it:
+        the mean of ``2 - 2 cos`` of the principal angles. Equal to it for a lone mode.
+    clusters : tuple of (int, int)
+        First mode and one past the last of each cluster of near-equal eigenvalues, in order.
+    open_from : int
+        The modes from here to k belong to a cluster that reaches past k, or may do so because the
+        next exact eigenvalue is not known. Then the k-th space itself is arbitrary, and its
+        error is no fault of the predictor: `mean_cluster_error` leaves these modes out.
+        Equal to k where the last cluster is known to be complete.
+    n_zero_modes : int
+        Modes of the exact kernel.
+    """
+
+    eigenvalues: Floats
+    predicted_eigenvalues: Floats
+    match: Ints
+    span_error: Floats
+    span_dimension: int
+    vector_error: Floats
+    eigenvalue_error: Floats
+    cluster_error: Floats
+    clusters: tuple[tuple[int, int], ...]
+    open_from: int
+    n_zero_modes: int
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                object.__setattr__(self, name, frozen(value))
+
+    @property
+    def k(self) -> int:
+        """Number of modes compared."""
+        return len(self.eigenvalues)
+
+    @property
+    def mean_span_error(self) -> float:
+        """Mean over all k modes."""
+        return float(self.span_error.mean())
+
+    @property
+    def mean_vector_error(self) -> float:
+        """Mean over all k modes, near-equal eigenvalues included."""
+        return float(self.vector_error.mean())
+
+    @property
+    def mean_eigenvalue_error(self) -> float:
+        """Mean over the modes outside the kernel; NaN if there are none."""
+        relative = self.eigenvalue_error[self.n_zero_modes :]
+        return float(relative.mean()) if len(relative) else float("nan")
+
+    @property
+    def mean_cluster_error(self) -> float:
+        """Mean over the modes before `open_from`; NaN if there are none."""
+        closed = self.cluster_error[: self.open_from]
+        return float(closed.mean()) if len(closed) else float("nan")
+
+
+@checked
+def span_error(basis: NDArray[np.floating], mass: Floats, eigenvectors: Floats) -> Floats:
+    """Energy of each eigenvector outside the span of a basis.
+
+    Parameters
+    ----------
+    basis : ndarray of shape (n, m)
+        Any columns; they are M-orthonormalised first.
+    mass : ndarray of shape (n,)
+        Lumped mass, in length^2.
+    eigenvectors : ndarray of shape (n, k)
+        M-orthonormal columns.
+
+    Returns
+    -------
+    ndarray of shape (k,)
+        ``1 - |Y^T M u_i|^2``, between 0 (inside the span) and 1 (orthogonal to it).
+
+    Raises
+    ------
+    InvalidInputError
+        If the arrays disagree in n, `basis` is not finite or all zero, or `eigenvectors` are not
+        M-orthonormal.
+
+    Notes
+    -----
+    The span loss of the NEO paper (metric (i) of its section 5). It depends on the space alone,
+    so signs, order and degenerate eigenvalues do not touch it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import spectra_kit as sk
+    >>> sk.eigen.metrics.span_error(np.eye(4)[:, :2], np.ones(4), np.eye(4)[:, 1:3])
+    array([0., 1.])
+    """
+    basis, eigenvectors = np.asarray(basis), np.asarray(eigenvectors)
+    mass = check_mass("mass", mass, np.size(mass))
+    n = len(mass)
+    for name, array in (("basis", basis), ("eigenvectors", eigenvectors)):
+        if array.ndim != 2 or len(array) != n:
+            raise InvalidInputError(
+                name, f"have shape ({n}, columns) like the {n} masses", array.shape
+            )
+    _check_orthonormal("eigenvectors", eigenvectors, mass)
+    return _outside(orthonormalize(basis, mass), mass, eigenvectors)
+
+
+@checked
+def subspace_span_error(
+    subspace: Subspace, laplacian: Laplacian, exact: Spectrum, predicted: Spectrum
+) -> tuple[Floats, int]:
+    """Energy of the exact modes outside everything a subspace spans, component by component.
+
+    Parameters
+    ----------
+    subspace : Subspace
+        Called once for each connected component, as `eigensolve` does.
+    laplacian : Laplacian
+        Of both spectra.
+    exact, predicted : Spectrum
+        The predicted modes count as part of the span (constants were added to it, and tiny
+        components are solved exactly).
+
+    Returns
+    -------
+    span_error : ndarray of shape (k,)
+        ``1 - |Y^T M u_i|^2`` for the exact modes; see `span_error`.
+    dimension : int
+        Number of orthonormal columns of Y, all components together.
+
+    Examples
+    --------
+    >>> from spectra_kit import AmbientFourier, RayleighRitz, eigensolve, robust_laplacian
+    >>> from spectra_kit.geometry import creature
+    >>> from spectra_kit.eigen.metrics import subspace_span_error
+    >>> laplacian, subspace = robust_laplacian(creature(1000)), AmbientFourier(m=200, bandwidth=5.0)
+    >>> exact = eigensolve(laplacian, 10)
+    >>> predicted = eigensolve(laplacian, 10, RayleighRitz(subspace=subspace))
+    >>> error, dimension = subspace_span_error(subspace, laplacian, exact, predicted)
+    >>> bool(error.max() < 0.01)
+    True
+    """
+    _check_orthonormal("exact", exact.eigenvectors, exact.mass)
+    inside, dimension = np.zeros(exact.k), 0
+    for label in range(laplacian.n_components):
+        part = np.flatnonzero(laplacian.component_labels == label)
+        mass, found = laplacian.mass[part], predicted.eigenvectors[part]
+        # Three points have no frame to predict in.
+        own = restricted(subspace, part)
+        basis = [np.asarray(own(laplacian.points[part], mass))] if len(part) > 3 else []
+        if any(columns.ndim != 2 or len(columns) != len(part) for columns in basis):
+            raise InvalidInputError("subspace", f"return shape ({len(part)}, m)", basis[0].shape)
+        columns = np.hstack([*basis, found])
+        columns = columns[:, columns.any(axis=0)]  # what lives on other components
+        if columns.shape[1]:
+            Y = orthonormalize(columns, mass)
+            inside += np.sum((Y.T @ (mass[:, None] * exact.eigenvectors[part])) ** 2, axis=0)
+            dimension += Y.shape[1]
+    return np.clip(1.0 - inside, 0.0, 1.0), dimension
+
+
+@checked
+def compare_spectra(
+    exact: Spectrum,
+    predicted: Spectrum,
+    *,
+    k: int | None = None,
+    basis: NDArray[np.floating] | None = None,
+    cluster_gap: float = 1e-2,
+) -> Comparison:
+    """Measure a predicted spectrum against an exact one on the same points.
+
+    Parameters
+    ----------
+    exact : Spectrum
+        The truth, k M-orthonormal modes or more. One more than k tells whether the last cluster is
+        complete.
+    predicted : Spectrum
+        Of the same operator, k such modes or more; all may be paired with the first k exact ones.
+    k : int, optional
+        Modes to compare; by default as many as both have.
+    basis : ndarray of shape (n, m), optional
+        The whole basis that the prediction was drawn from; the span error is measured against
+        it. Without it the predicted eigenvectors alone count, which is never smaller.
+    cluster_gap : float, default 1e-2
+        Neighbours with ``lambda_(i+1) - lambda_i <= cluster_gap * lambda_(i+1)`` share a cluster.
+        The zero modes always do.
+
+    Returns
+    -------
+    Comparison
+        The errors per mode; their means are properties.
+
+    Raises
+    ------
+    InvalidInputError
+        If the spectra belong to different points, masses or operators, the modes of one are not
+        M-orthonormal, `k` is out of range, or `cluster_gap` is negative.
+
+    Notes
+    -----
+    `span_error`, `vector_error` and `eigenvalue_error` are the three metrics of the NEO paper
+    (section 5) as its text defines them, except that the mean eigenvalue error leaves out the
+    whole kernel where the paper leaves out "the trivial mode": the same on a connected
+    surface. Pairs maximise the total squared M-cosine less 0.01 for each place moved.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import spectra_kit as sk
+    >>> s = sk.Spectrum(np.array([0.0, 1.0, 2.0]), np.eye(3), np.ones(3))
+    >>> turned = sk.Spectrum(s.eigenvalues, -s.eigenvectors, s.mass)
+    >>> sk.eigen.metrics.compare_spectra(s, turned).mean_vector_error
+    0.0
+    """
+    k, match, clusters, open_from = _pair(exact, predicted, k, cluster_gap)
+    mass, U, V = exact.mass, exact.eigenvectors[:, :k], predicted.eigenvectors[:, match]
+    values, other = exact.eigenvalues[:k], predicted.eigenvalues[match]
+
+    cosines = np.einsum("n,nk,nk->k", mass, U, V)
+    vector_error = _squared_norm(U - V * np.copysign(1.0, cosines), mass)
+    aligned = _rotate_within(clusters, mass, U, V)
+    difference = _squared_norm(U - aligned, mass)
+    cluster_error = np.concatenate([np.full(b - a, difference[a:b].mean()) for a, b in clusters])
+    zero = min(exact.n_zero_modes, k)
+    relative = np.full(k, np.nan)
+    relative[zero:] = np.abs(other - values)[zero:] / values[zero:]
+
+    if basis is None:
+        dimension, outside = predicted.k, _outside(predicted.eigenvectors, mass, U)
+    else:
+        if np.ndim(basis) != 2 or len(basis) != exact.n:
+            raise InvalidInputError(
+                "basis", f"have shape ({exact.n}, m) like the spectra", np.shape(basis)
+            )
+        Y = orthonormalize(basis, mass)
+        dimension, outside = Y.shape[1], _outside(Y, mass, U)
+    return Comparison(
+        eigenvalues=values,
+        predicted_eigenvalues=other,
+        match=match,
+        span_error=outside,
+        span_dimension=dimension,
+        vector_error=vector_error,
+        eigenvalue_error=relative,
+        cluster_error=cluster_error,
+        clusters=clusters,
+        open_from=open_from,
+        n_zero_modes=zero,
+    )
+
+
+@checked
+def align_modes(
+    exact: Spectrum, predicted: Spectrum, comparison: Comparison | None = None
+) -> Floats:
+    """Predicted eigenvectors, paired, signed and rotated to look like the exact ones.
+
+    For display only: inside a cluster of near-equal eigenvalues the returned columns are mixtures,
+    no longer eigenvectors of their own.
+
+    Parameters
+    ----------
+    exact, predicted : Spectrum
+        On the same points.
+    comparison : Comparison, optional
+        Of these two; by default ``compare_spectra(exact, predicted)``.
+
+    Returns
+    -------
+    ndarray of shape (n, k)
+        M-orthonormal inside each cluster; column i belongs beside exact mode i.
+
+    Raises
+    ------
+    InvalidInputError
+        As `compare_spectra`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import spectra_kit as sk
+    >>> s = sk.Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+    >>> sk.eigen.metrics.align_modes(s, sk.Spectrum(s.eigenvalues, -s.eigenvectors, s.mass))
+    array([[1., 0.],
+           [0., 1.]])
+    """
+    if comparison is None:
+        comparison = compare_spectra(exact, predicted)
+    return _rotate_within(
+        comparison.clusters,
+        exact.mass,
+        exact.eigenvectors[:, : comparison.k],
+        predicted.eigenvectors[:, comparison.match],
+    )
+
+
+def _pair(
+    exact: Spectrum, predicted: Spectrum, k: int | None, cluster_gap: float
+) -> tuple[int, Ints, tuple[tuple[int, int], ...], int]:
+    """Check the input; return k, the pairing, the clusters, and where an open cluster starts."""
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
+    if exact.n != predicted.n:
+        raise InvalidInputError(
+            "predicted", f"live on the {exact.n} points of `exact`", f"{predicted.n} points"
+        )
+    if not np.allclose(exact.mass, predicted.mass, rtol=1e-9, atol=0.0):
+        worst = float(np.abs(predicted.mass / exact.mass - 1).max())
+        raise InvalidInputError(
+            "predicted",
+            "have the mass of `exact`",
+            f"masses that differ by up to {worst:.2g} of their value",
+            advice="solve both with the same Laplacian",
+        )
+    hashes = exact.provenance.input_hash, predicted.provenance.input_hash
+    if all(hashes) and hashes[0] != hashes[1]:
+        raise InvalidInputError(
+            "predicted",
+            "come from the operator of `exact`",
+            f"other matrices or points: {exact.provenance.operator} (hash {hashes[0][:8]})"
+            f" against {predicted.provenance.operator} (hash {hashes[1][:8]})",
+        )
+    if not cluster_gap >= 0:
+        raise InvalidInputError("cluster_gap", "be at least 0", f"{cluster_gap!r}")
+    for name, spectrum in (("exact", exact), ("predicted", predicted)):
+        _check_orthonormal(name, spectrum.eigenvectors, spectrum.mass)
+    most = min(exact.k, predicted.k)
+    k = most if k is None else check_count("k", k, low=1, high=most)
+
+    U = exact.eigenvectors[:, :k]
+    cosines = (exact.mass[:, None] * U).T @ predicted.eigenvectors
+    moved = np.abs(np.arange(k)[:, None] - np.arange(predicted.k)[None, :])
+    _, match = linear_sum_assignment(_MOVE_COST * moved - cosines**2)
+
+    starts = _cluster_starts(exact, cluster_gap)
+    complete = k in starts
+    starts = starts[starts < k]
+    clusters = tuple((int(a), int(b)) for a, b in zip(starts, [*starts[1:], k], strict=True))
+    return k, np.asarray(match, dtype=np.int64), clusters, k if complete else clusters[-1][0]
+
+
+def _check_orthonormal(name: str, modes: NDArray[np.floating], mass: Floats) -> None:
+    """Refuse modes whose cosines and energies would not be those of M-orthonormal ones."""
+    gram = modes.T @ (mass[:, None] * modes)
+    error = float(np.abs(gram - np.eye(len(gram))).max(initial=0.0))
+    if not error <= _ORTHONORMAL:
+        raise InvalidInputError(
+            name,
+            "hold M-orthonormal modes",
+            f"|U^T M U - I| of up to {error:.2g}",
+            advice="of any columns,"
+            " eigensolve(laplacian, k, RayleighRitz(subspace=GivenBasis(columns))) makes modes,"
+            " and linalg.orthonormalize(columns, mass) a basis",
+        )
+
+
+def _cluster_starts(exact: Spectrum, gap: float) -> Ints:
+    """First mode of each cluster among all exact modes."""
+    values = exact.eigenvalues
+    apart = np.diff(values) > gap * values[1:]
+    zero = exact.n_zero_modes
+    apart[: max(zero - 1, 0)] = False
+    if 0 < zero < len(values):
+        apart[zero - 1] = True
+    return np.concatenate([[0], np.flatnonzero(apart) + 1])
+
+
+def _rotate_within(
+    clusters: tuple[tuple[int, int], ...], mass: Floats, U: Floats, V: Floats
+) -> Floats:
+    """Rotate the columns of V inside each cluster as close to U as they get (Procrustes)."""
+    aligned = np.empty_like(U)
+    for start, stop in clusters:
+        cluster = slice(start, stop)
+        left, _, right = np.linalg.svd(V[:, cluster].T @ (mass[:, None] * U[:, cluster]))
+        aligned[:, cluster] = V[:, cluster] @ (left @ right)
+    return aligned
+
+
+def _outside(Y: Floats, mass: Floats, U: Floats) -> Floats:
+    """``1 - |Y^T M u_i|^2`` for M-orthonormal Y, clipped to [0, 1] against rounding."""
+    inside = np.sum((Y.T @ (mass[:, None] * U)) ** 2, axis=0)
+    return np.asarray(np.clip(1.0 - inside, 0.0, 1.0))
+
+
+def _squared_norm(columns: Floats, mass: Floats) -> Floats:
+    """M-norm of each column, squared."""
+    return np.asarray(np.einsum("n,nk,nk->k", mass, columns, columns))

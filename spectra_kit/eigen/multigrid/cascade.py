@@ -1,0 +1,157 @@
+"""Cascadic multigrid: modes of a coarse level, carried up and smoothed level by level."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from spectra_kit._core.clock import Clock
+from spectra_kit._core.types import Floats
+from spectra_kit._sparse.blocks import operations
+from spectra_kit._sparse.ritz import ritz_pairs, ritz_rotation
+from spectra_kit.eigen.multigrid.coarse import Coarse, coarsen
+from spectra_kit.eigen.multigrid.estimates import excess, in_order
+from spectra_kit.eigen.multigrid.smoothing import Smoothing, on_device
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.operators.laplacian import Laplacian
+
+_RATIO = 16  # points of a level relative to those of the next one, at most
+_CARRIED = 8  # products of the first step on a level: interpolation errs at its own spacing
+_MIDDLE = 4  # steps on a level between, at most
+_LEFT = 0.01  # of what a level between gained: its modes are off by more than that on the next one
+_SURE = 3  # times smaller than the target are estimates to be: so far off are some of them
+_MORE = 2  # times smaller than that are errors to become by the next step
+_ROUNDING = 1e-10  # of the last Ritz value: a rise beyond it is none of rounding
+
+
+class Climbed(NamedTuple):
+    """What `climb` reached."""
+
+    eigenvalues: Floats  #: Of all columns, ascending.
+    eigenvectors: Any  #: M-orthonormal, on the finest level.
+    errors: Floats  #: Estimated relative errors of the k wanted eigenvalues.
+    steps: int  #: Rayleigh-Ritz steps on the finest level.
+
+
+def nested(laplacian: Laplacian, coarsest: int) -> list[Coarse]:
+    """Return levels down to about `coarsest` points, from finer to coarser.
+
+    Each is a part of the one before; none where there are fewer than twice as many points.
+    """
+    levels: list[Coarse] = []
+    if laplacian.n >= 2 * coarsest:
+        count = math.ceil(math.log(laplacian.n / coarsest) / math.log(_RATIO))
+        for i in range(1, count + 1):
+            size = round(laplacian.n * (coarsest / laplacian.n) ** (i / count))
+            levels.append(coarsen(levels[-1] if levels else laplacian, size))
+    return levels
+
+
+def climb(
+    laplacian: Laplacian,
+    levels: Sequence[Coarse],
+    values: Floats,
+    vectors: Any,
+    k: int,
+    *,
+    keep: int,
+    target: float,
+    max_steps: int,
+    device: str = "cpu",
+    clock: Clock | None = None,
+) -> Climbed:
+    """Carry Ritz pairs of the coarsest level up to all points, and smooth them on each level.
+
+    Parameters
+    ----------
+    laplacian : Laplacian
+        On all points.
+    levels : sequence of Coarse
+        From `nested`; none, if the pairs are on all points.
+    values : ndarray of shape (b,)
+        Ritz values on the last of the levels, ascending.
+    vectors : ndarray or Tensor of shape (n, b)
+        Their M-orthonormal Ritz vectors; those beyond k guard the wanted ones.
+    k : int
+        Wanted pairs.
+    keep : int
+        Columns on all points, of at least k.
+    target : float
+        Stop when the estimated relative errors of the wanted eigenvalues are a third of it, in the
+        mean.
+    max_steps : int
+        Steps on all points at most.
+    device : str, default "cpu"
+        Where the levels above the coarsest are: arrays on "cpu", tensors elsewhere.
+    clock : Clock, optional
+        For the stages ``carry``, ``smooth`` and ``rayleigh_ritz``.
+
+    Returns
+    -------
+    Climbed
+        Ritz values bound the eigenvalues from above on every level, for the levels are nested.
+
+    Notes
+    -----
+    A step is a Chebyshev smoother (`Smoothing`) and Rayleigh-Ritz. How often it is repeated on all
+    points follows from what the steps gain. After Bornemann and Deuflhard, *The cascadic multigrid
+    method for elliptic problems*, 1996.
+    """
+    clock = clock or Clock()
+    X = vectors if device == "cpu" else on_device(vectors, device)
+    ops, errors, step = operations(X), np.full(k, np.inf), 0
+    goal = target / (_SURE * _MORE)
+    finer: list[Laplacian | Coarse] = [laplacian]
+    finer += levels[:-1]
+    for i in range(len(finer) - 1, -1, -1):
+        finest = i == 0
+        if finest:
+            values, X = values[:keep], X[:, :keep]
+        if levels:
+            X = ops.product(on_device(levels[i].prolongation, device), X)
+        smoothing = Smoothing.of(finer[i], device)
+        clock.stage("carry")
+        residual = smoothing.residual(values, X)
+        step, found, gained = 0, None, 0.0
+        for step in range(1, 1 + (max_steps if finest else min(max_steps, _MIDDLE))):
+            before = values
+            degree = _CARRIED if finest and levels and step == 1 else None
+            guards = max(1, len(values) - k)
+            smooth = smoothing.smoothed(
+                values, X, residual, degree=degree, guards=guards, errors=found, goal=goal
+            )
+            clock.stage("smooth")
+            del residual  # blocks as large as X: what is no longer needed makes room
+            values, X = _rotated(smoothing, smooth, values, X, k)
+            del smooth
+            clock.stage("rayleigh_ritz")
+            residual = smoothing.residual(values, X)
+            least = np.maximum(values, laplacian.eigenvalue_spacing)[:k]
+            falls = np.maximum(before[:k] - values[:k], 0.0)
+            off = excess(smoothing, values, X, residual, falls)
+            found, errors = off / least, in_order(values[:k], off) / least
+            clock.stage("smooth")
+            gained += float((falls / least).mean())
+            if errors.mean() <= (target / _SURE if finest else max(goal, _LEFT * gained)):
+                break
+    return Climbed(values, X, errors, step)
+
+
+def _rotated(level: Smoothing, smooth: Any, values: Floats, X: Any, k: int) -> tuple[Floats, Any]:
+    """Return the Ritz pairs of smoothed columns, whose k lowest values are not above the old ones.
+
+    Together with the old columns, where they alone are dependent or a value rose: what some had
+    beyond others was rough, or rounding grew in the correction.
+    """
+    try:
+        lower, Y = ritz_rotation(level.stiffness, level.mass, smooth)
+        if (lower[:k] <= values[:k] + _ROUNDING * values[-1]).all():
+            return lower, Y
+    except InvalidInputError:
+        pass
+    both = operations(smooth).joined(smooth, X)
+    lower, Y, _ = ritz_pairs(level.stiffness, level.mass, both, len(values), least=k)
+    return lower, Y

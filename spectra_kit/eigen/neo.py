@@ -1,0 +1,175 @@
+"""`Neo`: eigenpairs from a forward pass of the neural operator and a small dense problem."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._core.checked import checked
+from spectra_kit._core.validate import Rebuilt, check_count
+from spectra_kit.eigen.base import Eigenpairs, Promise
+from spectra_kit.eigen.cascade import Cascade
+from spectra_kit.eigen.dense import Dense
+from spectra_kit.eigen.subspaces.given import GivenBasis
+from spectra_kit.operators.laplacian import Laplacian
+
+if TYPE_CHECKING:
+    import torch
+
+    from spectra_kit.neo import NeoSubspace
+
+
+@checked
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Neo(Rebuilt):
+    """The Neural Eigenspace Operator: predicts a subspace, then Rayleigh-Ritz on the same device.
+
+    Approximate; the certificate says by how much, but not whether a mode was passed over of which
+    the basis holds nothing, as on plates far thinner than long (`verify` shows it). Every connected
+    component is predicted on its own, in its own canonical frame. Components with at most twice as
+    many points as the subspace has functions are solved exactly by LAPACK.
+
+    Parameters
+    ----------
+    weights : str or path, default "small"
+        Name of shipped weights (`neo.pretrained.WEIGHTS`), or a ``.safetensors`` file.
+    poses : {1, 2, 4}, default 1
+        Sign flips of the canonical frame to predict in; the bases are joined.
+    device : str or torch.device, default "cpu"
+        "cpu" or "cuda"; never chosen for you.
+    dtype : {"float32", "bfloat16", "float16"}, default "float32"
+        Of the network. The eigenpairs are those of its basis in float64.
+    chunk : int, default 65536
+        Points whose temporaries are held at a time.
+    cap : int, optional
+        Points of a component that the network sees at most, well spread over the surface; the modes
+        are carried to all others level by level (`Cascade`). Components with fewer than twice as
+        many points are seen whole.
+    smoothing : int, default 20
+        Steps at most, each some sparse products and Rayleigh-Ritz, that smooth the modes on all
+        points; 0 leaves them as they were predicted.
+    target : float, default 1e-3
+        Smooth until the relative errors of the eigenvalues, as estimated, are below this in the
+        mean.
+    rank_tol : float, default 1e-10
+        Relative cut on the singular values of the basis; see `_sparse.orthonormalize`.
+
+    Raises
+    ------
+    InvalidInputError
+        If an option is none of the above, or the basis spans fewer than k dimensions.
+    WeightsError
+        If the weights are unknown, missing or damaged.
+
+    References
+    ----------
+    *Learning Laplacian Eigenspace with Mass-Aware Neural Operators on Point Clouds*, SIGGRAPH 2026.
+
+    Examples
+    --------
+    >>> from spectra_kit import Neo, eigensolve, robust_laplacian
+    >>> from spectra_kit.geometry import creature
+    >>> laplacian = robust_laplacian(creature(3000, seed=0))
+    >>> exact, predicted = eigensolve(laplacian, 96), eigensolve(laplacian, 96, Neo())
+    >>> bool(abs(predicted.eigenvalues[1:] / exact.eigenvalues[1:] - 1).mean() < 0.02)
+    True
+    """
+
+    promise: ClassVar[Promise] = "approximate"
+    weights: str | os.PathLike[str] = "small"
+    poses: Literal[1, 2, 4] = 1
+    device: str | torch.device = "cpu"
+    dtype: Literal["float32", "bfloat16", "float16"] = "float32"
+    chunk: int = 65536
+    cap: int | None = None
+    smoothing: int = 20
+    target: float = 1e-3
+    rank_tol: float = 1e-10
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "device", str(self.device))
+        if self.cap is not None:
+            check_count("cap", self.cap, low=100)
+        check_count("smoothing", self.smoothing, low=0)
+        _ = self._cascade  # checks the other options, and that the weights exist
+
+    def __repr__(self) -> str:
+        capped = "" if self.cap is None else f"cap={self.cap}, "
+        return (
+            f"Neo({self.subspace!r}, {capped}smoothing={self.smoothing}, target={self.target:g},"
+            f" rank_tol={self.rank_tol:g})"
+        )
+
+    @cached_property
+    def subspace(self) -> NeoSubspace:
+        """The network as a subspace, for `Union`, `RayleighRitz` or as point features."""
+        from spectra_kit.neo import NeoSubspace
+
+        return NeoSubspace(
+            self.weights,
+            poses=self.poses,
+            dtype=self.dtype,
+            device=str(self.device),
+            chunk=self.chunk,
+        )
+
+    @cached_property
+    def _cascade(self) -> Cascade:
+        """What carries the prediction to all points, and smooths it there."""
+        return Cascade(
+            subspace=self.subspace,
+            target=self.target,
+            coarsest=sys.maxsize if self.cap is None else self.cap,
+            max_steps=self.smoothing,
+            device=str(self.device),
+            rank_tol=self.rank_tol,
+        )
+
+    def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
+        """See `Eigensolver.eigenpairs`."""
+        if self._is_small(laplacian):
+            return Dense().eigenpairs(laplacian, k)._replace(errors=np.zeros(k))
+        return self._cascade.eigenpairs(laplacian, k)
+
+    def begin(self, laplacians: Sequence[Laplacian], k: int) -> list[Callable[[], Eigenpairs]]:
+        """See `Eigensolver.begin`: the functions of all come from one forward pass."""
+        from spectra_kit._sparse.torch_device import device_memory
+
+        rest: list[Callable[[], Eigenpairs]] = [
+            partial(self.eigenpairs, laplacian, k) for laplacian in laplacians
+        ]
+        whole = [
+            i
+            for i, laplacian in enumerate(laplacians)
+            if self.cap is None and not self._is_small(laplacian)
+        ]
+        start = time.perf_counter()
+        with device_memory():
+            bases = self.subspace.predict_many(
+                [laplacians[i].points for i in whole], [laplacians[i].mass for i in whole]
+            )
+            columns = [basis.cpu().numpy() for basis in bases]
+        share = (time.perf_counter() - start) / max(len(whole), 1)
+        for i, own in zip(whole, columns, strict=True):
+            rest[i] = partial(self._predicted, laplacians[i], k, own, share)
+        return rest
+
+    def _predicted(
+        self, laplacian: Laplacian, k: int, basis: NDArray[np.float32], seconds: float
+    ) -> Eigenpairs:
+        """Go on from the functions of the network, which took so many `seconds`."""
+        pairs = replace(self._cascade, subspace=GivenBasis(basis)).eigenpairs(laplacian, k)
+        stages = dict(pairs.seconds or {})
+        return pairs._replace(seconds=stages | {"subspace": stages["subspace"] + seconds})
+
+    def _is_small(self, laplacian: Laplacian) -> bool:
+        """Whether to solve it exactly: there is nothing to gain from a guess."""
+        return laplacian.n <= 2 * self.subspace.n_functions

@@ -1,0 +1,751 @@
+"""`Spectrum`: the one object every eigensolver produces and every application consumes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from spectra_kit._core.checked import checked
+from spectra_kit._core.files import parsing
+from spectra_kit._core.records import draw
+from spectra_kit._core.threads import blas_threads_for
+from spectra_kit._core.types import Floats
+from spectra_kit._core.validate import Rebuilt, check_count, check_positive, frozen, quantity
+from spectra_kit._sparse.host import gram
+from spectra_kit._sparse.residuals import residual_norms
+from spectra_kit.eigen.certificate import Certificate, ModeCount
+from spectra_kit.eigen.provenance import Provenance
+from spectra_kit.eigen.spectrum_file import REMEDY, read_spectrum_file, write_spectrum_file
+from spectra_kit.errors import InvalidInputError, InvalidSpectrumError
+from spectra_kit.operators.laplacian import Laplacian
+
+if TYPE_CHECKING:
+    import torch
+
+
+_FOREIGN_MASS = 1e-5  # relative; float32 copies of the same mass differ by less
+_LARGEST_FACTOR = 1e150  # to change the unit of length by
+_ZERO_MODE = 1e-7  # eigenvalues below this over the area count as zero where no operator can tell
+_SHOWN = 12  # eigenvalues in a notebook
+_BY_THE_USER = Provenance()
+
+
+@checked
+@dataclass(frozen=True, eq=False)
+class Spectrum(Rebuilt):
+    """The k lowest eigenpairs of ``L u = lambda M u`` on n points.
+
+    Immutable. Signs, and bases inside an eigenspace, are unspecified and never "fixed". float64
+    arrays are viewed, not copied (they can be gigabytes): do not write to them afterwards.
+
+    Parameters
+    ----------
+    eigenvalues : array_like of shape (k,)
+        Ascending, >= 0, in 1/length^2.
+    eigenvectors : array_like of shape (n, k)
+        Columns, M-orthonormal: ``U.T @ (mass[:, None] * U) == I``; in 1/length.
+    mass : array_like of shape (n,)
+        Lumped mass, positive, in length^2.
+    certificate : Certificate, optional
+        Residuals and counts; `eigensolve` always fills it.
+    provenance : Provenance, optional
+        Solver, operator, seed, times, input hash.
+
+    Raises
+    ------
+    InvalidSpectrumError
+        If shapes disagree, a value is not finite, eigenvalues are negative or out of order, or
+        the mass is not positive. (`eigensolve` also checks orthonormality.)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from spectra_kit import Spectrum
+    >>> s = Spectrum(np.array([0.0]), np.full((4, 1), 0.5), np.ones(4))
+    >>> s.project(np.array([1.0, 2.0, 3.0, 4.0]))
+    array([5.])
+    """
+
+    eigenvalues: Floats
+    eigenvectors: Floats
+    mass: Floats
+    certificate: Certificate | None = None
+    provenance: Provenance = _BY_THE_USER
+
+    def __post_init__(self) -> None:
+        values, vectors, mass = (
+            _as_float64(name, getattr(self, name), ndim)
+            for name, ndim in (("eigenvalues", 1), ("eigenvectors", 2), ("mass", 1))
+        )
+        if vectors.shape != (len(mass), len(values)):
+            raise InvalidSpectrumError(
+                "eigenvectors",
+                f"have shape ({len(mass)}, {len(values)}) for {len(mass)} masses and"
+                f" {quantity(len(values), 'eigenvalue')}",
+                vectors.shape,
+                advice="transposed?" if vectors.shape == (len(values), len(mass)) else "",
+            )
+        if np.any(np.diff(values) < 0) or (len(values) and values[0] < 0):
+            raise InvalidSpectrumError(
+                "eigenvalues",
+                "be non-negative and ascending",
+                f"a smallest value of {values.min():.3g} and steps down to"
+                f" {np.diff(values).min(initial=0):.3g}",
+                advice="sort the pairs, and turn the sign of a negative Laplacian",
+            )
+        if not (mass > 0).all():
+            raise InvalidSpectrumError(
+                "mass", "be positive", f"{quantity((mass <= 0).sum(), 'entry')} <= 0"
+            )
+        _check_covers(self.certificate, len(values))
+        for name, array in (("eigenvalues", values), ("eigenvectors", vectors), ("mass", mass)):
+            object.__setattr__(self, name, frozen(array))
+
+    @property
+    def k(self) -> int:
+        """Number of modes."""
+        return len(self.eigenvalues)
+
+    @property
+    def n(self) -> int:
+        """Number of points."""
+        return len(self.mass)
+
+    @property
+    def area(self) -> float:
+        """Total mass, in length^2."""
+        return float(self.mass.sum())
+
+    @property
+    def n_zero_modes(self) -> int:
+        """Number of modes in the kernel: certified where possible, else lambda * area < 1e-7."""
+        if self.certificate is not None:
+            return self.certificate.n_zero_modes
+        return int((self.eigenvalues * self.area <= _ZERO_MODE).sum())
+
+    def truncate(self, k: int) -> Spectrum:
+        """Return the first modes.
+
+        Parameters
+        ----------
+        k : int
+            How many, from 1 to those there are.
+
+        Returns
+        -------
+        Spectrum
+            Of k modes, certificate included.
+
+        Raises
+        ------
+        InvalidInputError
+            If there are not as many.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+        >>> s.truncate(1).k
+        1
+        """
+        return self._modes(slice(0, check_count("k", k, low=1, high=self.k)))
+
+    def nonzero(self) -> Spectrum:
+        """Return the modes outside the kernel: what deflation, GPS and descriptors need.
+
+        Returns
+        -------
+        Spectrum
+            Without the first `n_zero_modes`.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2)).nonzero().eigenvalues
+        array([1.])
+        """
+        return self._modes(slice(self.n_zero_modes, self.k))
+
+    def rescale(self, factor: float) -> Spectrum:
+        """Return the spectrum of the same surface with lengths multiplied by `factor`.
+
+        Parameters
+        ----------
+        factor : float
+            From 1e-150 to 1e150; 1000 from metres to millimetres.
+
+        Returns
+        -------
+        Spectrum
+            Eigenvalues over ``factor**2``, masses times that, eigenvectors over `factor`. Its
+            provenance has no input hash: no solver has seen the scaled surface.
+
+        Raises
+        ------
+        InvalidInputError
+            If the factor is out of range.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+        >>> s.rescale(10).eigenvalues
+        array([0.  , 0.01])
+        """
+        if not 1 / _LARGEST_FACTOR <= check_positive("factor", factor) <= _LARGEST_FACTOR:
+            raise InvalidInputError(
+                "factor",
+                f"be in [{1 / _LARGEST_FACTOR:g}, {_LARGEST_FACTOR:g}], whose squares are numbers",
+                f"{factor:g}",
+            )
+        square = factor**2
+        certificate = self.certificate
+        if certificate is not None:
+            certificate = replace(
+                certificate,
+                residuals=certificate.residuals / square,
+                count=certificate.count and certificate.count.rescaled(square),
+            )
+        return replace(
+            self,
+            eigenvalues=self.eigenvalues / square,
+            eigenvectors=self.eigenvectors / factor,
+            mass=self.mass * square,
+            certificate=certificate,
+            provenance=replace(self.provenance, input_hash=""),
+        )
+
+    def project(self, values: Annotated[ArrayLike, NDArray[np.bool_]]) -> Floats:
+        """Return the coefficients ``U^T M f`` of functions.
+
+        Parameters
+        ----------
+        values : array_like of shape (n,) or (n, c)
+            One function, or c of them.
+
+        Returns
+        -------
+        ndarray of shape (k,) or (k, c)
+            In the unit of the functions times length.
+
+        Raises
+        ------
+        InvalidInputError
+            If there is not a finite number for each point.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+        >>> s.project([3.0, 4.0])
+        array([3., 4.])
+        """
+        f = _as_columns("values", values, self.n)
+        with blas_threads_for(self.eigenvectors.size):
+            return np.asarray(self.eigenvectors.T @ (self.mass * f.T).T)
+
+    def reconstruct(self, coefficients: ArrayLike) -> Floats:
+        """Return the functions ``U c`` with these coefficients.
+
+        Parameters
+        ----------
+        coefficients : array_like of shape (k,) or (k, c)
+            As `project` returns them.
+
+        Returns
+        -------
+        ndarray of shape (n,) or (n, c)
+            One function, or c of them.
+
+        Raises
+        ------
+        InvalidInputError
+            If there is not a finite number for each mode.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+        >>> s.reconstruct(s.project([3.0, 4.0]))
+        array([3., 4.])
+        """
+        c = _as_columns("coefficients", coefficients, self.k)
+        with blas_threads_for(self.eigenvectors.size):
+            return np.asarray(self.eigenvectors @ c)
+
+    def filter(self, response: Callable[[Floats], Floats], values: ArrayLike) -> Floats:
+        """Return ``U g(lambda) U^T M f``: functions with each mode multiplied by a number.
+
+        Parameters
+        ----------
+        response : callable
+            g: takes the eigenvalues, (k,), and returns as many numbers.
+        values : array_like of shape (n,) or (n, c)
+            f: one function, or c of them.
+
+        Returns
+        -------
+        ndarray of shape (n,) or (n, c)
+            In the unit of f.
+
+        Raises
+        ------
+        InvalidInputError
+            If the response is of another shape, or there is not a finite number for each point.
+
+        Examples
+        --------
+        Heat diffusion for a time t (in length^2):
+
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+        >>> s.filter(lambda lam: np.exp(-0.5 * lam), np.array([1.0, 1.0]))
+        array([1.      , 0.6065...])
+        """
+        gain = np.asarray(response(self.eigenvalues), dtype=np.float64)
+        if gain.shape != (self.k,):
+            raise InvalidInputError(
+                "response",
+                f"return shape ({self.k},) for {quantity(self.k, 'eigenvalue')}",
+                gain.shape,
+            )
+        return self.reconstruct((gain * self.project(values).T).T)
+
+    def residuals(self, laplacian: Laplacian) -> Floats:
+        """Return ``||L u - lambda M u|| / ||u||`` of each mode: (k,), in 1/length^2.
+
+        In the M^-1 and M norms. Rows of fixed (Dirichlet) points are left out: there u is
+        prescribed, not solved for.
+
+        Parameters
+        ----------
+        laplacian : Laplacian
+            On the points of the spectrum, with its mass.
+
+        Returns
+        -------
+        ndarray of shape (k,)
+            Within so much of each eigenvalue lies a true one.
+
+        Raises
+        ------
+        InvalidInputError
+            If `laplacian` lives on other points or has another mass, or a mode does not vanish
+            at its fixed points.
+
+        Examples
+        --------
+        >>> from spectra_kit import eigensolve, robust_laplacian
+        >>> from spectra_kit.geometry import sphere
+        >>> laplacian = robust_laplacian(sphere(subdivisions=2).geometry)
+        >>> bool(eigensolve(laplacian, 4).residuals(laplacian).max() < 1e-9)
+        True
+        """
+        self._check_belongs_to(laplacian)
+        norms = residual_norms(
+            laplacian.stiffness,
+            laplacian.mass,
+            self.eigenvalues,
+            self.eigenvectors,
+            left_out=laplacian.fixed,
+        )
+        squared = self.mass @ self.eigenvectors**2
+        if not squared.all():
+            raise InvalidSpectrumError("eigenvectors", "not hold a column of zeros")
+        return np.asarray(norms / np.sqrt(squared))
+
+    def _check_belongs_to(self, laplacian: Laplacian) -> None:
+        """Refuse to compare this spectrum with an operator that it cannot be of."""
+        if laplacian.n != self.n:
+            raise InvalidInputError(
+                "laplacian", f"live on the {self.n} points of this spectrum", laplacian.n
+            )
+        if not np.allclose(laplacian.mass, self.mass, rtol=_FOREIGN_MASS, atol=0):
+            times = laplacian.mass / self.mass
+            raise InvalidInputError(
+                "laplacian",
+                "have the mass of this spectrum",
+                f"entries between {times.min():.3g} and {times.max():.3g} times it",
+                advice="is the unit the same?",
+            )
+        held = np.abs(self.eigenvectors[laplacian.fixed]).max(initial=0.0)
+        if held > 1e-8 * np.abs(self.eigenvectors).max(initial=0.0):
+            raise InvalidInputError(
+                "laplacian",
+                f"hold points at zero where these modes are, unlike {held:.3g} at some of"
+                f" {quantity(len(laplacian.fixed), 'point')}",
+                advice="they belong to another boundary condition",
+            )
+
+    def orthonormality_error(self) -> float:
+        """Return the largest entry of ``|U^T M U - I|``.
+
+        Returns
+        -------
+        float
+            0 without any modes.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2)).orthonormality_error()
+        0.0
+        """
+        error = gram(self.mass, self.eigenvectors) - np.eye(self.k)
+        return float(np.abs(error).max(initial=0.0))
+
+    def certify(self, laplacian: Laplacian) -> Spectrum:
+        """Return this spectrum with a `Certificate`, whoever computed it.
+
+        Parameters
+        ----------
+        laplacian : Laplacian
+            What to hold it against, as in `residuals`.
+
+        Returns
+        -------
+        Spectrum
+            The same modes; a count of eigenvalues is not made: see `verify`.
+
+        Raises
+        ------
+        InvalidInputError
+            As of `residuals`.
+
+        Examples
+        --------
+        >>> from spectra_kit import Spectrum, eigensolve, robust_laplacian
+        >>> from spectra_kit.geometry import sphere
+        >>> laplacian = robust_laplacian(sphere(subdivisions=2).geometry)
+        >>> found = eigensolve(laplacian, 4)
+        >>> bare = Spectrum(found.eigenvalues, found.eigenvectors, found.mass)
+        >>> bare.certify(laplacian).certificate.n_zero_modes
+        1
+        """
+        residuals = self.residuals(laplacian)
+        spacing = self._spacings(laplacian)
+        certificate = Certificate(
+            residuals=residuals,
+            relative_residuals=residuals / np.maximum(self.eigenvalues, spacing),
+            orthonormality_error=self.orthonormality_error(),
+            n_zero_modes=self._kernel_modes(laplacian),
+            kernel_dimension=laplacian.kernel_dimension,
+            n_components=laplacian.n_components,
+        )
+        return self.described(certificate, self.provenance)
+
+    def described(self, certificate: Certificate | None, provenance: Provenance) -> Spectrum:
+        """Return the same modes with these facts; the arrays, checked once, are not read again.
+
+        Parameters
+        ----------
+        certificate : Certificate or None
+            Of these modes.
+        provenance : Provenance
+            Where they come from.
+
+        Returns
+        -------
+        Spectrum
+            Of the same arrays.
+
+        Raises
+        ------
+        InvalidInputError
+            If the certificate is of another number of modes.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit import Provenance, Spectrum
+        >>> s = Spectrum(np.array([0.0]), np.full((4, 1), 0.5), np.ones(4))
+        >>> s.described(None, Provenance(solver="by hand")).provenance.solver
+        'by hand'
+        """
+        _check_covers(certificate, self.k)
+        spectrum = object.__new__(type(self))
+        vars(spectrum).update(vars(self), certificate=certificate, provenance=provenance)
+        return spectrum
+
+    def _spacings(self, laplacian: Laplacian) -> Floats:
+        """Eigenvalue spacing of the component on which each mode lives (weighted, if several)."""
+        if laplacian.n_components == 1:
+            return np.full(self.k, laplacian.component_spacings[0])
+        shares = self._by_component(laplacian) @ self.eigenvectors[laplacian.free] ** 2
+        return np.asarray(laplacian.component_spacings @ (shares / shares.sum(axis=0)))
+
+    def _kernel_modes(self, laplacian: Laplacian) -> int:
+        """How many modes lie in the kernel: the squared cosines between it and their span."""
+        if not laplacian.kernel_dimension:
+            return 0
+        member = self._by_component(laplacian)[laplacian.constant_components]
+        roots = np.sqrt(np.asarray(member.sum(axis=1)))
+        cosines = (member @ self.eigenvectors[laplacian.free]) / roots[:, None]
+        return min(round(float((cosines**2).sum())), laplacian.kernel_dimension)
+
+    def _by_component(self, laplacian: Laplacian) -> sparse.csr_array:
+        """The mass of each free point in the row of its component, (n_components, n_free)."""
+        labels, free = laplacian.component_labels[laplacian.free], laplacian.free
+        return sparse.csr_array((self.mass[free], (labels, np.arange(len(free)))))
+
+    def save(self, path: str | Path) -> None:
+        """Write everything to one versioned ``.npz`` file, whole or not at all.
+
+        float64, uncompressed and aligned, so `load` can map it; plain ``numpy.load`` reads it too.
+
+        Parameters
+        ----------
+        path : str or Path
+            Where; what is there is replaced.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+
+        Examples
+        --------
+        >>> from pathlib import Path
+        >>> from tempfile import TemporaryDirectory
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+        >>> with TemporaryDirectory() as folder:
+        ...     s.save(Path(folder) / "modes.npz")
+        ...     sorted(np.load(Path(folder) / "modes.npz"))[:2]
+        ['eigenvalues', 'eigenvectors']
+        """
+        write_spectrum_file(
+            Path(path),
+            {n: getattr(self, n) for n in ("eigenvalues", "eigenvectors", "mass")},
+            plain(self.certificate) if self.certificate else None,
+            vars(self.provenance),
+        )
+
+    @classmethod
+    def load(cls, path: str | Path, *, mmap: bool = False) -> Spectrum:
+        """Read a spectrum written by `save`.
+
+        Parameters
+        ----------
+        path : str or Path
+            The ``.npz`` file.
+        mmap : bool, default False
+            Map the arrays instead of reading them: instant, paged in as they are used, and
+            without the checks (checksums, finite values) that reading makes.
+
+        Returns
+        -------
+        Spectrum
+            With certificate and provenance.
+
+        Raises
+        ------
+        InvalidFileError
+            If the file is not there or no spectrum, is truncated, or has a newer format version.
+
+        Examples
+        --------
+        >>> from pathlib import Path
+        >>> from tempfile import TemporaryDirectory
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+        >>> with TemporaryDirectory() as folder:
+        ...     s.save(Path(folder) / "modes.npz")
+        ...     Spectrum.load(Path(folder) / "modes.npz").eigenvalues
+        array([0., 1.])
+        """
+        path = Path(path)
+        arrays, certificate, provenance = read_spectrum_file(path, mmap=mmap)
+        with parsing(path, "spectrum file", remedy=REMEDY):
+            return cls(
+                **arrays,
+                certificate=_restored(certificate) if certificate else None,
+                provenance=Provenance(**provenance),
+            )
+
+    def to_torch(
+        self, *, device: str | torch.device = "cpu", dtype: torch.dtype | None = None
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Return eigenvalues, eigenvectors and mass as new tensors.
+
+        Parameters
+        ----------
+        device : str or torch.device, default "cpu"
+            Where they shall be.
+        dtype : torch.dtype, optional
+            A real one; float64 without it.
+
+        Returns
+        -------
+        tuple of Tensor
+            Of shapes (k,), (n, k) and (n,).
+
+        Raises
+        ------
+        InvalidInputError
+            If torch cannot use the device here, or the type is not real.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+        >>> s.to_torch()[1].shape
+        torch.Size([2, 2])
+        """
+        import torch
+
+        from spectra_kit._sparse.torch_device import check_device, check_float_dtype
+
+        place = check_device(str(device))
+        kind = torch.float64 if dtype is None else check_float_dtype(dtype)
+
+        def tensor(a: Floats) -> Any:
+            return torch.tensor(np.array(a), device=place, dtype=kind)
+
+        return tensor(self.eigenvalues), tensor(self.eigenvectors), tensor(self.mass)
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
+        """Draw its eigenvalues, as `show.plot_spectrum` does.
+
+        Parameters
+        ----------
+        path : path-like, optional
+            The file to write: PNG, PDF or SVG by its suffix.
+
+        Returns
+        -------
+        viz.Picture
+            Which notebooks show.
+
+        Raises
+        ------
+        InvalidInputError
+            If `path` has another suffix or is in no existing folder.
+
+        Examples
+        --------
+        >>> import spectra_kit as sk
+        >>> sk.spectrum(sk.geometry.sphere(subdivisions=1).geometry, 9).plot().content[1:4]
+        b'PNG'
+        """
+        return draw("plot_spectrum", path, self)
+
+    def __repr__(self) -> str:
+        certified = "uncertified" if self.certificate is None else self.certificate.summary
+        return (
+            f"Spectrum(n={self.n}, k={self.k}, eigenvalues {self.eigenvalues[:1].sum():.4g} to"
+            f" {self.eigenvalues[-1:].sum():.4g}, {certified}, solver={self.provenance.solver})"
+        )
+
+    def _facts(self) -> Mapping[str, object]:
+        values = [f"{value:.6g}" for value in self.eigenvalues]
+        shown = values if self.k <= _SHOWN else [*values[: _SHOWN - 2], "…", values[-1]]
+        return {
+            "points": f"{self.n:,}",
+            "modes": f"{self.k:,}, {self.n_zero_modes} of them zero",
+            "eigenvalues": ", ".join(shown),
+            "certificate": self.certificate.summary if self.certificate else "none",
+            "operator": self.provenance.operator,
+            "solver": self.provenance.solver,
+        }
+
+    def _modes(self, columns: slice) -> Spectrum:
+        """Return the modes in `columns`, certificate included."""
+        old = self.certificate
+        start, stop, _ = columns.indices(self.k)
+        certificate = old and replace(
+            old,
+            residuals=old.residuals[columns],
+            relative_residuals=old.relative_residuals[columns],
+            n_zero_modes=max(min(old.n_zero_modes, stop) - start, 0),
+            # Leading modes dropped on purpose are not missing from the kernel.
+            kernel_dimension=max(old.kernel_dimension - start, 0),
+            count=old.count and self._count_of(old.count, start, stop),
+            excess=None if old.excess is None else old.excess[columns],
+            errors=None if old.errors is None else old.errors[columns],
+            bounded=old.bounded[columns],
+        )
+        return replace(
+            self,
+            eigenvalues=self.eigenvalues[columns],
+            eigenvectors=self.eigenvectors[:, columns],
+            certificate=certificate,
+        )
+
+    def _count_of(self, count: ModeCount, start: int, stop: int) -> ModeCount:
+        """Return what `count` says of the modes from `start` to `stop`."""
+        if stop < count.verified:  # the next mode is known to within the radius
+            floor = float(self.eigenvalues[stop]) - count.radius
+            count = replace(count, verified=stop, floor=floor)
+        if count.verified == stop:
+            count = replace(count, missing=0, reason="")
+        return replace(count, verified=max(count.verified - start, 0))
+
+
+def _check_covers(certificate: Certificate | None, k: int) -> None:
+    if certificate is not None and len(certificate.residuals) != k:
+        raise InvalidSpectrumError(
+            "certificate", f"cover {quantity(k, 'mode')}", len(certificate.residuals)
+        )
+
+
+def plain(certificate: Certificate) -> dict[str, Any]:
+    """Return the fields of a certificate; what it does not have is left out."""
+    record = {name: value for name, value in vars(certificate).items() if value is not None}
+    if certificate.count is not None:
+        record["count"] = dict(vars(certificate.count))
+    for name in record.keys() & {"excess", "errors", "bounded"}:
+        record[name] = record[name].tolist()
+    return record
+
+
+def _restored(record: Mapping[str, Any]) -> Certificate:
+    """Return the certificate with these fields."""
+    count = record.get("count")
+    return Certificate(**{**record, "count": ModeCount(**count) if count else None})
+
+
+def _as_columns(name: str, values: ArrayLike, rows: int) -> Floats:
+    """Return `values` as float64 of shape (rows,) or (rows, c)."""
+    array = np.asarray(values)
+    if array.ndim not in (1, 2) or array.shape[0] != rows:
+        raise InvalidInputError(name, f"be real, of shape ({rows},) or ({rows}, c)", array.shape)
+    if not np.isfinite(array).all():
+        raise InvalidInputError(
+            name, "be finite", quantity((~np.isfinite(array)).sum(), "NaN or infinite value")
+        )
+    return array.astype(np.float64, copy=False)
+
+
+def _as_float64(name: str, values: ArrayLike, ndim: int) -> Floats:
+    """Return a finite float64 array of `ndim` dimensions, without a copy where possible."""
+    array = np.asarray(values)
+    if array.ndim != ndim or array.dtype.kind not in "fiu":
+        raise InvalidSpectrumError(
+            name,
+            f"be a real array with {ndim} dimensions",
+            f"shape {array.shape} of {array.dtype}",
+        )
+    array = np.asarray(array, dtype=np.float64)
+    if not isinstance(values, np.memmap) and not np.isfinite(array).all():
+        raise InvalidSpectrumError(
+            name, "be finite", quantity((~np.isfinite(array)).sum(), "NaN or infinite value")
+        )
+    return array

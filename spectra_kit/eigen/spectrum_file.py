@@ -1,0 +1,90 @@
+"""The file format of a `Spectrum`: arrays, and what is known of them as a JSON header."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._core.arrays_file import read_arrays, write_arrays
+from spectra_kit.catalogue import SOLVERS
+from spectra_kit.errors import InvalidFileError
+
+# 2: certificates may hold a count; 3: what it misses, `accuracy`, `excess`; 4: `name`; 5: `errors`;
+# 6: `bounded`
+# and `reason`
+FORMAT_VERSION = 6
+REMEDY = "write it again with Spectrum.save"
+_ARRAYS = ("eigenvalues", "eigenvectors", "mass")
+_RESIDUALS = ("residuals", "relative_residuals")
+
+
+def write_spectrum_file(
+    path: Path,
+    arrays: Mapping[str, NDArray[np.floating]],
+    certificate: Mapping[str, Any] | None,
+    provenance: Mapping[str, Any],
+    **more: object,
+) -> None:
+    """Write `arrays`, and the scalars of `certificate` and `provenance` as JSON, to `path`.
+
+    What `more` there is to say stands in the header, too.
+    """
+    members: dict[str, NDArray[Any]] = dict(arrays)
+    header: dict[str, Any] = {
+        "format": "spectra_kit spectrum",
+        "version": FORMAT_VERSION,
+        "provenance": {**provenance, "seconds": dict(provenance["seconds"])},
+        "certificate": None,
+        **more,
+    }
+    if certificate is not None:
+        members |= {name: certificate[name] for name in _RESIDUALS}
+        header["certificate"] = {k: v for k, v in certificate.items() if k not in _RESIDUALS}
+    write_arrays(path, header, members)
+
+
+def read_spectrum_file(
+    path: Path, *, mmap: bool
+) -> tuple[dict[str, Any], dict[str, Any] | None, dict[str, Any]]:
+    """Return the arrays, the certificate's fields (or None) and the provenance's fields."""
+
+    def choose(header: dict[str, Any]) -> tuple[str, ...]:
+        if header["format"] != "spectra_kit spectrum":
+            raise KeyError("format")
+        if header["version"] > FORMAT_VERSION:
+            raise InvalidFileError(
+                path,
+                f"it has format version {header['version']}, this spectra_kit reads up to"
+                f" {FORMAT_VERSION}; upgrade it",
+            )
+        header["provenance"] = _named(header["provenance"])
+        if header["certificate"] is None:
+            return _ARRAYS
+        header["certificate"] = dict(header["certificate"])
+        return _ARRAYS + _RESIDUALS
+
+    header, arrays = read_arrays(
+        path,
+        "spectrum file",
+        choose,
+        remedy=REMEDY,
+        mapped=_ARRAYS if mmap else (),
+    )
+    certificate = header["certificate"]
+    if certificate is not None:
+        certificate |= {name: arrays.pop(name) for name in _RESIDUALS}
+    return arrays, certificate, header["provenance"]
+
+
+def _named(provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the provenance with the name and accuracy of the solver, where the file lacks them."""
+    made = str(provenance["solver"])
+    name = "" if made == "user" else made.partition("(")[0].lower()
+    if made.startswith("RayleighRitz(subspace=AmbientFourier("):
+        name = "fourier"
+    accuracy = SOLVERS[name].promise if name in SOLVERS else ""
+    return {"name": name, "accuracy": accuracy, **provenance}

@@ -1,0 +1,255 @@
+"""What matching needs to know of one surface, computed once and used for all its pairs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from spectra_kit._core.checked import checked
+from spectra_kit._core.threads import blas_threads_for, single_threaded_blas
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import Rebuilt, check_count
+from spectra_kit.eigen import Spectrum
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.features import farthest_points, wave_kernel_signature
+from spectra_kit.geometry import Geometry
+from spectra_kit.maps.curvature import smoothed_mean_curvature
+from spectra_kit.maps.dense import Dense, thinned
+from spectra_kit.maps.lengths import lengths_from
+from spectra_kit.maps.placed import Placed
+from spectra_kit.operators.oriented import area_form, oriented_triangles
+
+LOWEST_K = 30  # modes without which there is no matching: to which candidates grow
+REFINED_K = 60  # modes to which candidates are refined
+CURVATURE_SCALE = 2.0  # of each curvature beside modes, in the last steps: it counts like four
+FORM_K = 40  # modes of the area form
+_EVEN = 1e-6  # at unit area, a curvature that varies less than that does not vary: a sphere
+_ENDS = 60  # samples from which lengths are measured: the first are the tips of limbs
+_CURVATURES = (80, 40, 20, 10)  # modes whose heat times smooth the curvature, fine to coarse
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Surface(Placed):
+    """What the geometry of a surface adds to its spectrum, at unit area."""
+
+    #: Smoothed mean curvature, (n, 4), fine to coarse: minus its mean, divided by its standard
+    #: deviation (zero where it does not vary).
+    curvature: Floats
+    form: Floats  # (q, q, q): the integrals of ``u_a du_b ^ du_c`` of the lowest modes
+    lengths: Floats  # (p, n): of the ways from the first samples to all points
+
+
+@checked
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Prepared(Rebuilt):
+    """A surface, ready to be matched; `prepare` makes it. All at unit area.
+
+    Of a dense surface, n counts the well-spread points on which it is matched.
+
+    Attributes
+    ----------
+    spectrum : Spectrum
+        Scaled to area 1.
+    samples : ndarray of shape (s,)
+        Well-spread points, the first ones the farthest apart.
+    wave : ndarray of shape (n, e)
+        Wave kernel signature.
+    surface : Surface or None
+        What the geometry adds; None without one.
+    dense : Dense or None
+        Of a dense surface: all its points, and which were chosen.
+    """
+
+    spectrum: Spectrum
+    samples: Ints
+    wave: Floats
+    surface: Surface | None = None
+    dense: Dense | None = None
+
+    @property
+    def whole(self) -> Spectrum:
+        """The spectrum on all points of the surface, dense or not."""
+        return self.spectrum if self.dense is None else self.dense.spectrum
+
+    def on_all_points(self) -> Prepared:
+        """Return the surface prepared to be matched on all its points, dense or not.
+
+        Returns
+        -------
+        Prepared
+            As if `n_points` had been large enough.
+        """
+        if self.dense is None:
+            return self
+        return _gathered(self.dense.spectrum, self.dense.placed, len(self.samples))
+
+    def truncate(self, k: int) -> Prepared:
+        """Return the surface prepared with its first k modes alone.
+
+        Parameters
+        ----------
+        k : int
+            At least 30, and at most as many as there are.
+
+        Returns
+        -------
+        Prepared
+            As if it had been made of a truncated spectrum.
+        """
+        if check_count("k", k, low=LOWEST_K, high=self.spectrum.k) == self.spectrum.k:
+            return self
+        if self.dense is not None:
+            whole, count = self.dense.spectrum.truncate(k), len(self.dense.chosen)
+            return _gathered_on(thinned(whole, self.dense.placed, count), len(self.samples))
+        return _gathered(self.spectrum.truncate(k), self.surface, len(self.samples))
+
+    def __repr__(self) -> str:
+        seen = "spectrum alone" if self.surface is None else "spectrum and geometry"
+        some = "" if self.dense is None else f" of {self.dense.spectrum.n}"
+        return f"Prepared(n={self.spectrum.n}{some}, k={self.spectrum.k}, from {seen})"
+
+
+@checked
+def prepare(
+    spectrum: Spectrum,
+    geometry: Geometry | None = None,
+    *,
+    n_samples: int = 600,
+    n_points: int = 5000,
+) -> Prepared:
+    """Gather what `match` needs to know of a surface.
+
+    Parameters
+    ----------
+    spectrum : Spectrum
+        Of one connected surface, in any unit, with at least 30 modes.
+    geometry : TriangleMesh or PointCloud, optional
+        The surface, in the same unit: its sides and its curvature. Faces that are wound against
+        their neighbours are turned for it, with a `DoubtfulMatchWarning`; where that does not make
+        all agree, the others tell the side (`operators.oriented_triangles`). Without a geometry, a
+        match cannot tell left from right, and hardly the front from the back.
+    n_samples : int, default 600
+        Points on which candidates are refined; capped at n.
+    n_points : int, default 5000
+        A surface with a geometry and more than twice as many points is dense: it is matched on
+        about so many, well spread, and the map is carried to all points in the end.
+
+    Returns
+    -------
+    Prepared
+        At unit area, for any number of matches.
+
+    Raises
+    ------
+    InvalidInputError
+        If the spectrum has fewer than 30 modes, no constant mode or several components,
+        `n_samples` is below 200 or `n_points` below 1000, the geometry has other points or another
+        area, or a dense one has a tiny piece that is not connected to the rest.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> mesh = sk.geometry.creature(1000)
+    >>> sk.prepare(sk.spectrum(mesh, 60), mesh)
+    Prepared(n=1000, k=60, from spectrum and geometry)
+    """
+    check_count("n_samples", n_samples, low=200)
+    check_count("n_points", n_points, low=1000)
+    if spectrum.k < LOWEST_K:
+        raise InvalidInputError(
+            "spectrum",
+            f"have at least {LOWEST_K} modes to be matched",
+            spectrum.k,
+            advice="solve for more (150 match best)",
+        )
+    if spectrum.n_zero_modes == 0:
+        raise InvalidInputError(
+            "spectrum",
+            "hold the constant mode",
+            "no zero mode",
+            advice="pass it whole, without `.nonzero()`, and of a surface without fixed points",
+        )
+    if spectrum.n_zero_modes > 1:
+        raise InvalidInputError(
+            "spectrum",
+            "be of one connected surface, with its constant mode",
+            f"{spectrum.n_zero_modes} zero modes",
+            advice="match the largest part alone, by {}, or one by one (geometry.components)",
+            remedies=("geometry.largest_component(mesh)",),
+        )
+    scale = spectrum.area**-0.5
+    unit = spectrum.rescale(scale)
+    with blas_threads_for(unit.eigenvectors.size):
+        placed = None if geometry is None else _placed(unit, geometry, scale)
+        if placed is None or unit.n <= 2 * n_points:
+            return _gathered(unit, placed, min(n_samples, unit.n))
+    with single_threaded_blas():
+        return _gathered_on(thinned(unit, placed, n_points), min(n_samples, n_points))
+
+
+def _gathered_on(dense: Dense, n_samples: int) -> Prepared:
+    """Return a dense surface with all that depends on its modes, at its chosen points."""
+    return _gathered(*dense.at_chosen(), n_samples, dense)
+
+
+def _gathered(
+    unit: Spectrum, placed: Placed | None, n_samples: int, dense: Dense | None = None
+) -> Prepared:
+    """Return a surface at unit area with all that depends on its modes."""
+    samples = farthest_points(unit, n_samples)
+    return Prepared(
+        spectrum=unit,
+        samples=samples,
+        wave=wave_kernel_signature(unit, count=60),
+        surface=None if placed is None else _surface(unit, placed, samples),
+        dense=dense,
+    )
+
+
+def _placed(unit: Spectrum, geometry: Geometry, scale: float) -> Placed:
+    """Return a geometry at unit area, and which side is out."""
+    if geometry.n != unit.n:
+        raise InvalidInputError(
+            "geometry", f"be the mesh or cloud of the spectrum, of {unit.n} points", geometry.n
+        )
+    oriented = oriented_triangles(geometry)
+    area = float(oriented.weights @ oriented.areas) * scale**2
+    if not 0.5 < area < 2.0:
+        raise InvalidInputError(
+            "geometry",
+            "be in the unit of the spectrum",
+            f"{area:.3g} times its area",
+            advice="pass the geometry that the spectrum was computed of",
+        )
+    return Placed(points=geometry.points * scale, mass=unit.mass, oriented=oriented)
+
+
+def _surface(unit: Spectrum, placed: Placed, samples: Ints) -> Surface:
+    """Return what the geometry adds to the spectrum."""
+    curvature = smoothed_mean_curvature(
+        unit, placed.points, placed.oriented, tuple(min(mode, unit.k - 1) for mode in _CURVATURES)
+    )
+    curvature -= unit.mass @ curvature
+    spread = np.sqrt(unit.mass @ curvature**2)
+    varies = spread > _EVEN
+    return Surface(
+        points=placed.points,
+        mass=unit.mass,
+        oriented=placed.oriented,
+        curvature=np.divide(curvature, spread, out=np.zeros_like(curvature), where=varies),
+        form=area_form(placed.oriented, unit.eigenvectors[:, : min(FORM_K, unit.k)]),
+        lengths=lengths_from(placed, samples[:_ENDS]),
+    )
+
+
+def curvatures(source: Prepared, target: Prepared) -> tuple[Floats, Floats] | None:
+    """Return the curvatures of both, (n1, 4) and (n2, 4), where they can be compared.
+
+    None without geometries, or where one of them does not bend: curvature tells a sheet from the
+    same sheet rolled up, but not where its points are.
+    """
+    if source.surface is None or target.surface is None:
+        return None
+    both = source.surface.curvature, target.surface.curvature
+    return both if all(c.any(axis=0).all() for c in both) else None

@@ -1,0 +1,282 @@
+"""What a match returns: the map, what it was chosen from, and how sure that is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy import sparse
+
+from spectra_kit._core.checked import checked
+from spectra_kit._core.types import Bools, Floats, Ints
+from spectra_kit._core.validate import Rebuilt, real_array
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.maps.confidence import confidence_of
+from spectra_kit.maps.options import DEFAULT, MatchOptions
+
+#: What may be wrong with a map: see `Match.doubts`.
+Doubt = Literal[
+    "margin", "mirror_margin", "alike", "orientation", "consistent", "coverage", "score", "torn",
+    "genera", "rims", "landmark_distances",
+]  # fmt: skip
+_AMBIGUOUS = {"margin", "mirror_margin", "alike", "orientation", "consistent"}
+_ALONE = {"alike", "rims", "score"}  # that count by themselves
+_OTHERS = {"orientation", "coverage", "torn", "genera"}  # right maps have one at most
+
+_CLUSTERED = 1.5  # times chance: bodies and animals have less, round shapes more
+_NOTHING_SHARED = 1.0  # squared difference per mode: half of that of maps at random
+_ALIKE = 2.0  # a map that is right scores better than one that shares nothing with it by more
+_GOOD = 0.1  # what scores better is right by itself, as far as can be seen
+_OPEN = 0.5  # length of a rim at unit area: a round hole of 2 % of the area has it
+
+
+@checked
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Candidate(Rebuilt):
+    """One of the maps that `match` chose from.
+
+    Attributes
+    ----------
+    functional_map : ndarray of shape (k, k)
+        Refined to some 60 modes.
+    score : float
+        The lower, the better: `maps.score_of` of the mismatches.
+    mismatches : dict of str to float
+        What the score is made of; see `maps.mismatches`.
+    mirrored : bool
+        Whether the map turns the surface over, like a mirror.
+    """
+
+    functional_map: Floats
+    score: float
+    mismatches: dict[str, float]
+    mirrored: bool
+
+
+@checked
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Match(Rebuilt):
+    """A map from source to target, and how far it can be trusted.
+
+    Attributes
+    ----------
+    point_map : ndarray of shape (n2,)
+        The source point of each target point (p2p_21).
+    functional_map : ndarray of shape (k, k)
+        C_12, of the surfaces at unit area.
+    mirrored : bool
+        Whether the map turns the surface over, as one to a mirror image does.
+    orientation : float or None
+        Near 1 if the map keeps it, near -1 if it mirrors; far from both, parts of it are
+        flipped. None if a geometry is missing.
+    margin : float
+        Score of the best other candidate of the same orientation over that of the chosen one; below
+        1 if that one leaves more between the bent source and the target. Infinite if no other was
+        found. Maps that differ in small parts do not count.
+    mirror_margin : float
+        Score of the best candidate of the other orientation (mirrored, if the chosen one is not)
+        over that of the chosen one; near 1 for bodies whose halves are alike, infinite if there
+        was none.
+    consistent : float
+        Share of the triangles that agree on which side is out, of the worse of both surfaces: 1
+        for meshes.
+    coverage : float
+        Area of the source that the target points reach, over what as many thrown at random would
+        reach: above 1.1 for right maps, whatever the resolutions. Of dense surfaces, by the points
+        that they are matched on.
+    torn : float or None
+        Share of the target's edges whose ends lead far apart: six times their length and more. None
+        if a geometry is missing.
+    candidates : tuple of Candidate
+        Those that were refined and came out different, the chosen one first.
+    precise : csr_array of shape (n2, n1) or None
+        Where on a triangle of the source each target point lies, if that was asked for: rows of at
+        most three barycentric coordinates, which are positive and sum to 1. The map times values at
+        the source points, or the points themselves, gives those at the target points.
+    options : MatchOptions
+        How they were found and judged.
+    covered : ndarray of bool of shape (n2,), optional
+        Which target points have a partner on a source that is a part; see `match_part`. None where
+        both are wholes, and all points have one.
+    clustered : float, default 1.0
+        How much closer than by chance the lowest eigenvalues lie, of the rounder surface: above 1.5
+        for round and symmetric ones, which many maps take to themselves.
+    genera : (int, int) or None, optional
+        Handles of source and target, holes being closed. None if one is a cloud, or not manifold.
+    rims : (float, float), default (0.0, 0.0)
+        How long the rim of one round hole is, at unit area, that leaves out as much as all holes of
+        source and target do.
+    landmark_distances : ndarray of shape (l,), optional
+        How far the map by itself leads from each landmark, at unit area; None without landmarks.
+    lost_from : float
+        Beyond which distance a landmark is lost: three steps between neighbours of the source, or
+        0.05 where that is more.
+    """
+
+    point_map: Ints
+    functional_map: Floats
+    mirrored: bool
+    orientation: float | None
+    margin: float
+    mirror_margin: float
+    consistent: float
+    coverage: float
+    torn: float | None
+    candidates: tuple[Candidate, ...]
+    precise: sparse.csr_array | None = None
+    options: MatchOptions = DEFAULT
+    covered: Bools | None = None
+    clustered: float = 1.0
+    genera: tuple[int, int] | None = None
+    rims: tuple[float, float] = (0.0, 0.0)
+    landmark_distances: Floats | None = None
+    lost_from: float = float("inf")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.covered is not None and self.covered.shape != self.point_map.shape:
+            raise InvalidInputError(
+                "covered",
+                "have the shape of `point_map`",
+                f"{self.covered.shape} and {self.point_map.shape}",
+            )
+        if self.landmark_distances is not None:
+            apart = real_array("landmark_distances", self.landmark_distances)
+            if apart.ndim != 1 or not len(apart):
+                raise InvalidInputError(
+                    "landmark_distances", "have shape (l,), l >= 1", apart.shape
+                )
+
+    @property
+    def score(self) -> float:
+        """Score of the chosen candidate; the lower, the better."""
+        return self.candidates[0].score
+
+    @property
+    def alike(self) -> int:
+        """Number of other maps that are as good, as far as can be seen, of a round surface.
+
+        Of the same orientation, with nothing in common with the chosen one, and not twice as bad,
+        or good by themselves, in score and at the landmarks. 0 of surfaces that are not
+        `clustered`.
+        """
+        if self.clustered < _CLUSTERED:
+            return 0
+        chosen, *others = self.candidates
+        return sum(_as_good(other, chosen) for other in others)
+
+    @property
+    def landmarks_held(self) -> Bools | None:
+        """Which landmarks the map holds, (l,); None without any.
+
+        Where it does, `point_map` has the very points that were given.
+        """
+        if self.landmark_distances is None:
+            return None
+        return np.asarray(self.landmark_distances <= self.lost_from)
+
+    @property
+    def confidence(self) -> float:
+        """How likely the map is right, in [0, 1].
+
+        A logistic of score, tears, margin and coverage, fitted to `match` of bodies (FAUST, SCAPE)
+        and animals (SMAL, TOSCA), and of bodies with animals: of other kinds of shapes, and of
+        parts (`covered`), it is a guess. Doubts about orientation and genera lower its odds to a
+        fiftieth each; maps that are `alike` have equal shares of it; and so much of it is lost as
+        of the landmarks. An only
+        candidate, as those of a collection or of an `initial` map are, has as much as if a rival
+        scored as well. It does not see other symmetries: of a surface that is one with itself
+        turned or mirrored, a wrong map looks like a right one. See `ambiguous`.
+        """
+        margin = self.margin if len(self.candidates) > 1 else None
+        likely = confidence_of(
+            score=self.score,
+            torn=self.torn,
+            margin=margin,
+            coverage=self.coverage,
+            against=len({"orientation", "genera"} & set(self.doubts)),
+        )
+        held = self.landmarks_held
+        return likely / (1 + self.alike) * (1.0 if held is None else float(held.mean()))
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether the map may be flipped or turned, in whole or in part.
+
+        That is: a rival scored as well, others of a round surface hardly worse (`alike`), one of
+        the other orientation clearly better, that of the map is not what it should be, or the sides
+        of a cloud are in doubt.
+        """
+        return bool(_AMBIGUOUS & set(self.doubts))
+
+    @property
+    def convincing(self) -> bool:
+        """Whether the map is rather right than wrong, by confidence and doubts.
+
+        Its confidence is 0.5 or more, no map is `alike`, neither score nor rims speak against it,
+        and of orientation, coverage, tears and genera one does at most. Of a part, for which
+        confidence is not calibrated, neither score, coverage nor rims may.
+        """
+        doubts = set(self.doubts)
+        if self.covered is not None:
+            return not {"coverage", "score", "rims"} & doubts
+        if _ALONE & doubts or len(_OTHERS & doubts) > 1:
+            return False
+        return self.confidence >= 0.5
+
+    @property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """Names of the attributes that speak against the map."""
+        limits, kept, held = self.options, 1.0, self.landmarks_held
+        if self.orientation is not None:
+            kept = -self.orientation if self.mirrored else self.orientation
+        clear: dict[Doubt, bool] = {
+            "margin": self.margin >= limits.clear_margin,
+            "mirror_margin": self.mirror_margin * limits.doubtful_mirror >= 1,
+            "alike": self.alike == 0,
+            "orientation": kept >= limits.clear_orientation,
+            "consistent": self.consistent >= limits.clear_sides,
+            "coverage": self.coverage >= limits.convincing_coverage,
+            "score": self.score <= limits.convincing_score,
+            "torn": self.torn is None or self.torn <= limits.convincing_torn,
+            "genera": self.genera is None or self.genera[0] == self.genera[1],
+            "rims": self._rims_agree(),
+            "landmark_distances": held is None or bool(held.all()),
+        }
+        return tuple(name for name, fine in clear.items() if not fine)
+
+    def _rims_agree(self) -> bool:
+        """Tell whether both surfaces may be wholes: what is cut off elsewhere is no partner.
+
+        Where both are wide open, as two sheets are and two parts of one body, only a map much
+        better than those that convince elsewhere tells them apart. A part may be open, its whole
+        not.
+        """
+        open1, open2 = (rim > _OPEN for rim in self.rims)
+        if self.covered is not None:
+            return not open2
+        if open1 and open2:
+            return self.score <= 0.5 * self.options.convincing_score
+        return abs(self.rims[0] - self.rims[1]) <= _OPEN
+
+    def __repr__(self) -> str:
+        how = "mirrored" if self.mirrored else "not mirrored"
+        doubt = ", ambiguous" if self.ambiguous else ""
+        doubt += "" if self.convincing else ", not convincing"
+        sure = f"confidence {self.confidence:.2f}"
+        if self.covered is not None:
+            sure = f"{self.covered.sum()} covered"
+        size = f"{len(self.point_map)} points, k={len(self.functional_map)}"
+        return f"Match({size}, {how}, {sure}{doubt})"
+
+
+def _as_good(other: Candidate, chosen: Candidate) -> bool:
+    """Tell whether a map that shares nothing with the chosen one may be right as well."""
+    C, values, best = chosen.functional_map, other.mismatches, chosen.mismatches
+    tells = [(other.score, chosen.score), (values.get("landmarks", 0), best.get("landmarks", 0))]
+    return (
+        other.mirrored == chosen.mirrored
+        and all(it < max(_ALIKE * right, _GOOD) for it, right in tells)
+        and bool(((other.functional_map - C) ** 2).sum() > _NOTHING_SHARED * len(C))
+    )

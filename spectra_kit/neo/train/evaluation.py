@@ -1,0 +1,110 @@
+"""Errors of what users get: predictions after all the smoothing that `Neo` does."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._core.types import Floats
+from spectra_kit._core.validate import check_count
+from spectra_kit._sparse import orthonormalize
+from spectra_kit.eigen import Cascade, Neo, eigensolve
+from spectra_kit.errors import DoubtfulSpectrumWarning, InvalidInputError
+from spectra_kit.neo.train.families import FAMILIES
+from spectra_kit.neo.train.shards import Corpus
+from spectra_kit.operators.laplacian import Laplacian
+
+
+def errors_of(
+    solver: Neo | Cascade, corpus: Corpus, *, most: int | None = None
+) -> dict[str, Floats]:
+    """Return the errors of a solver on the samples of a corpus with operators.
+
+    Parameters
+    ----------
+    solver : Neo or Cascade
+        With its weights, or another subspace, and its smoothing.
+    corpus : Corpus
+        Of few samples of many points, as users bring them.
+    most : int, optional
+        Only so many samples, the first ones.
+
+    Returns
+    -------
+    dict of str to ndarray of shape (s,)
+        Means over the modes of each sample: ``predicted``, the span error of all predicted
+        functions; ``span``, that of the k modes after smoothing; ``value``, the relative error of
+        their eigenvalues, the constant's left out. And ``steps``, which the solver took: it goes on
+        until it is as good as asked for, so these tell more of a network than the errors, or its
+        errors after ``smoothing=1``.
+
+    Raises
+    ------
+    InvalidInputError
+        If the samples have no operators, `most` is less than 1, or the solver has no subspace.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from spectra_kit import Neo
+    >>> from spectra_kit.neo.train.corpus import CorpusConfig, generate
+    >>> from spectra_kit.neo.train.evaluation import errors_of
+    >>> from spectra_kit.neo.train.shards import open_shards
+    >>> with TemporaryDirectory() as folder:
+    ...     made = generate(folder, 1, config=CorpusConfig(seed=0, n_points=600, k=8))
+    ...     errors = errors_of(Neo(), open_shards(folder))
+    >>> bool(errors["span"][0] < errors["predicted"][0] < 0.01)
+    True
+    """
+    if not corpus.has_operators:
+        raise InvalidInputError(
+            "corpus",
+            "have operators",
+            "one without",
+            advice="make it anew: those of before had none",
+        )
+    if solver.subspace is None:
+        raise InvalidInputError("solver", "have a subspace", solver)
+    count = len(corpus) if most is None else min(check_count("most", most, low=1), len(corpus))
+    rows = [_errors(solver, corpus, i) for i in range(count)]
+    return dict(zip(("predicted", "span", "value", "steps"), np.array(rows).T, strict=True))
+
+
+def _errors(solver: Neo | Cascade, corpus: Corpus, i: int) -> tuple[float, float, float, float]:
+    batch = corpus.batch([i])
+    assert batch.operators is not None
+    real = np.flatnonzero(batch.mass[0])  # the rest is padding
+    mass, points = batch.mass[0, real].astype(np.float64), batch.points[0, real]
+    exact, values = batch.eigenvectors[0, real].astype(np.float64), batch.operators.eigenvalues[0]
+    exact /= np.sqrt(mass @ exact**2)  # which float16 has rounded
+    laplacian = Laplacian(batch.operators.stiffness(0)[real][:, real], mass, points)
+    with warnings.catch_warnings():  # how wrong it is, is what is measured here
+        warnings.simplefilter("ignore", DoubtfulSpectrumWarning)
+        found = eigensolve(laplacian, len(values), solver)
+    apart = np.abs(found.eigenvalues[1:] / values[1:] - 1)
+    assert solver.subspace is not None
+    predicted = solver.subspace(laplacian.points, mass)
+    # `eigen.metrics.span_error` wants orthonormal modes, which these are but for rounding.
+    before, after = (
+        1 - np.square(orthonormalize(basis, mass).T @ (mass[:, None] * exact)).sum(axis=0).mean()
+        for basis in (predicted, found.eigenvectors)
+    )
+    steps = found.provenance.iterations or 0  # none on so few points that they are solved exactly
+    return float(before), float(after), float(apart.mean()), float(steps)
+
+
+def typical(errors: Floats) -> float:
+    """Return the geometric mean: errors of samples differ a hundredfold, rounding is no error."""
+    return float(np.exp(np.log(np.maximum(errors, np.finfo(float).eps)).mean()))
+
+
+def kinds(labels: Mapping[str, NDArray[np.int64]]) -> NDArray[np.str_]:
+    """Return what each sample is, by its labels: ``mesh of a tube``, ``cloud of a real shape``."""
+    names = (*FAMILIES, "real shape")  # FROM_POOL = -1 counts from the end
+    forms = np.array(["cloud", "mesh"])[labels["mesh"]]
+    return np.array(
+        [f"{form} of a {names[i]}" for form, i in zip(forms, labels["family"], strict=True)]
+    )

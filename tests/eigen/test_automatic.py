@@ -1,0 +1,287 @@
+"""Who says how accurate eigenvalues must be gets them so, and is told what was done for it."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from conftest import bumpy, creature, joined, refused
+from scipy import sparse
+
+import spectra_kit as sk
+from spectra_kit._sparse.memory import factor_gigabytes
+from spectra_kit.eigen import automatic
+from spectra_kit.geometry import TriangleMesh, rectangle, sphere
+
+
+def errors(spectrum: sk.Spectrum, exact: sk.Spectrum) -> np.ndarray:
+    zero = exact.certificate.kernel_dimension
+    return np.abs(spectrum.eigenvalues[zero:] / exact.eigenvalues[zero:] - 1)
+
+
+@pytest.fixture(autouse=True)
+def few_are_fewer(monkeypatch) -> None:
+    """Let thousands of points be many: the rule is the same, and tests are quick."""
+    monkeypatch.setattr(automatic, "_FEW", 5_000)
+    monkeypatch.setattr(automatic, "_FEW_FOR_EACH", 60)
+
+
+@pytest.fixture(scope="module")
+def animal() -> sk.Laplacian:
+    return sk.robust_laplacian(creature(6000, seed=0))
+
+
+@pytest.fixture(scope="module")
+def exact(animal) -> sk.Spectrum:
+    return sk.eigensolve(animal, 30, sk.Arpack())
+
+
+@pytest.fixture(scope="module")
+def flat() -> sk.Laplacian:
+    """The animal a thousand times thinner than it is long and wide: far from what is easy."""
+    mesh = creature(6000, seed=0)
+    return sk.robust_laplacian(mesh.with_points(mesh.points * [1, 1, 1e-3]))
+
+
+@pytest.fixture(scope="module")
+def flat_exact(flat) -> sk.Spectrum:
+    return sk.eigensolve(flat, 30, sk.Arpack())
+
+
+def rough(n: int) -> sk.Laplacian:
+    """The animal of a stuff whose conductivity jumps by up to ten orders of magnitude."""
+    plain = sk.robust_laplacian(creature(n, seed=0))
+    scale = sparse.diags_array(10.0 ** np.random.default_rng(0).uniform(-2.5, 2.5, n))
+    weights = scale @ (sparse.diags_array(plain.stiffness.diagonal()) - plain.stiffness) @ scale
+    weights = (weights + weights.T) / 2
+    stiffness = sparse.csr_array(sparse.diags_array(weights.sum(axis=1)) - weights)
+    return sk.Laplacian(stiffness, plain.mass, plain.points)
+
+
+@pytest.mark.parametrize(
+    ("accuracy", "name", "promise"),
+    [
+        (None, "arpack", "exact"),
+        (1e-14, "arpack", "exact"),
+        (1e-8, "arpack", "exact"),
+        (1e-5, "arpack", "exact"),
+        (1e-4, "cascade", "approximate"),
+        (1e-2, "cascade", "approximate"),
+    ],
+)
+def test_the_accuracy_is_met_and_the_choice_is_told(animal, exact, accuracy, name, promise) -> None:
+    found = sk.eigensolve(animal, 30, sk.Automatic(accuracy=accuracy))
+    made, certificate = found.provenance, found.certificate
+    assert errors(found, exact).mean() <= (accuracy or 1e-12)
+    assert (made.name, made.accuracy) == (name, promise)
+    assert made.solver.lower().startswith(f"{name}(")
+    assert made.choice == f"{name}: {made.reason}"
+    asked = f"for errors of {accuracy}" if accuracy else "exact"
+    smooth = f"errors of {accuracy} on {animal.n} points need no factor"
+    exactly = f"{asked}, and the factor fits into memory"
+    assert made.reason == (smooth if name == "cascade" else exactly)
+    assert (certificate.count is None) == (promise == "approximate")
+    if promise == "approximate":
+        assert certificate.errors.mean() <= accuracy
+
+
+def test_it_is_the_default() -> None:
+    laplacian = sk.robust_laplacian(bumpy())
+    [ours, theirs] = [sk.eigensolve(laplacian, 9), sk.eigensolve(laplacian, 9, sk.Arpack())]
+    np.testing.assert_array_equal(ours.eigenvectors, theirs.eigenvectors)
+    assert ours.provenance.solver == theirs.provenance.solver
+    assert (ours.provenance.reason, theirs.provenance.reason) == (
+        "an exact solution is quickest for 9 modes of 642 points",
+        "",
+    )
+    assert theirs.provenance.choice == "arpack"
+    assert sk.spectrum(bumpy(), 4).provenance.reason
+
+
+@pytest.mark.parametrize("accuracy", [1e-2, 1e-4])
+def test_analytic_spectrum_of_the_sphere(accuracy) -> None:
+    """Degrees l up to 6, as far as the mesh itself is off: its errors are of second order."""
+    found = sk.eigensolve(
+        sk.robust_laplacian(sphere(subdivisions=5).geometry), 49, sk.Automatic(accuracy=accuracy)
+    )
+    true = np.repeat([degree * (degree + 1) for degree in range(7)], range(1, 15, 2))
+    assert found.provenance.name == "cascade"
+    assert np.abs(found.eigenvalues[1:] / true[1:] - 1).mean() <= accuracy + 3e-3
+
+
+@pytest.mark.parametrize("accuracy", [1e-3, 1e-7])
+def test_points_held_at_zero(accuracy) -> None:
+    mesh = rectangle(n=6000).geometry
+    drum = sk.robust_laplacian(mesh).dirichlet(mesh.boundary_vertices)
+    found = sk.eigensolve(drum, 30, sk.Automatic(accuracy=accuracy))
+    exact = sk.eigensolve(drum, 30, sk.Arpack())
+    assert found.provenance.name in ("cascade", "arpack")
+    assert errors(found, exact).mean() <= accuracy
+    assert not found.eigenvectors[drum.fixed].any()
+
+
+@pytest.mark.parametrize(
+    ("accuracy", "steps", "left"),
+    [
+        (1e-7, 1, "1 step of smoothing left errors of "),
+        (1e-7, 0, "0 steps of smoothing left unknown errors"),
+        (1e-3, 0, "0 steps of smoothing left unknown errors"),
+    ],
+)
+def test_smoothing_that_stalls_goes_on_with_a_factor(
+    monkeypatch, animal, exact, accuracy, steps, left
+) -> None:
+    """From the modes that are there, until the certificate says that they are good enough."""
+    monkeypatch.setattr(automatic, "_STEPS", steps)
+    monkeypatch.setattr(automatic, "_TIGHT", 1e-7)
+    found = sk.eigensolve(animal, 30, sk.Automatic(accuracy=accuracy))
+    assert errors(found, exact).mean() <= found.certificate.errors.mean() <= accuracy
+    assert found.certificate.relative_residuals.max() <= accuracy
+    made = found.provenance
+    assert (made.name, made.accuracy) == ("refined", "to tolerance")
+    assert made.reason.startswith(left)
+    assert made.reason.endswith(f", more than {accuracy:g}")
+    assert {"coarsen", "filter", "count"} <= made.seconds.keys(), "all work is told"
+    assert found.certificate.level == "verified"
+    assert found.certificate.bounded.all(), "what the smoothing left is no more"
+
+
+def test_a_flat_animal_is_smoothed_as_long_as_that_is_cheap(flat, flat_exact) -> None:
+    found = sk.eigensolve(flat, 30, sk.Automatic(accuracy=1e-4))
+    assert errors(found, flat_exact).mean() <= 1e-4
+    assert found.provenance.name == "refined"
+    assert found.provenance.reason.startswith(f"{automatic._STEPS} steps of smoothing left errors")
+
+
+def test_what_goes_on_and_does_not_converge_keeps_the_modes(monkeypatch, animal, exact) -> None:
+    """The partial spectrum is certified, tells who made it, and all the time that it took."""
+    monkeypatch.setattr(automatic, "_STEPS", 1)
+    monkeypatch.setattr(automatic, "_TIGHT", 1e-9)
+    monkeypatch.setattr(automatic, "Refined", partial(sk.Refined, max_sweeps=1))
+    with pytest.raises(sk.errors.ConvergenceError, match=r"30 modes reached rtol") as caught:
+        sk.eigensolve(animal, 30, sk.Automatic(accuracy=1e-9))
+    kept = caught.value.partial
+    assert (kept.k, kept.provenance.name) == (30, "refined")
+    assert kept.provenance.reason.startswith("1 step of smoothing left errors of ")
+    assert {"coarsen", "smooth", "filter"} <= kept.provenance.seconds.keys()
+    assert errors(kept, exact).mean() < 1e-4
+
+
+def test_what_goes_on_and_does_not_fit_into_memory_keeps_the_modes(
+    monkeypatch, animal, exact
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise MemoryError("no room for a factor")
+
+    monkeypatch.setattr(automatic, "_STEPS", 1)
+    monkeypatch.setattr(automatic, "_TIGHT", 1e-9)
+    monkeypatch.setattr(sk.Refined, "eigenpairs", full)
+    with pytest.raises(sk.errors.ConvergenceError, match="no room for a factor") as caught:
+        sk.eigensolve(animal, 30, sk.Automatic(accuracy=1e-9))
+    kept = caught.value.partial
+    assert (kept.k, kept.provenance.name, caught.value.n_converged) == (30, "cascade", 0)
+    assert kept.certificate.errors.mean() > 1e-9
+    assert errors(kept, exact).mean() < 1e-2
+    assert str(caught.value).endswith("; raise accuracy")
+
+
+@pytest.mark.parametrize("device", ["cpu", "cpu:0"])
+def test_without_a_factor(animal, exact, flat, flat_exact, device) -> None:
+    """Where none fits into memory, and on a device, which has none."""
+    solver = sk.Automatic(memory=1e-3, device=device)
+    for laplacian, truth in ((animal, exact), (flat, flat_exact)):
+        for accuracy in (None, 1e-7):
+            found = sk.eigensolve(laplacian, 30, replace(solver, accuracy=accuracy))
+            assert errors(found, truth).mean() <= (accuracy or 1e-12)
+            assert found.provenance.name == "cascade"
+            assert found.provenance.reason.endswith("GiB, more than 0.001")
+            assert found.certificate.count is None, "that would take a factor"
+
+
+def test_smoothing_that_nothing_goes_on_from_keeps_the_modes() -> None:
+    laplacian = rough(5500)
+    missed = f"{automatic._MANY} steps of smoothing left errors of .*, more than 1e-07"
+    with pytest.raises(sk.errors.ConvergenceError, match=missed) as caught:
+        sk.eigensolve(laplacian, 10, sk.Automatic(accuracy=1e-7, memory=1e-3))
+    kept = caught.value.partial
+    assert (kept.k, kept.provenance.name, caught.value.n_converged) == (10, "cascade", 0)
+    assert errors(kept, sk.eigensolve(laplacian, 10, sk.Arpack())).mean() < 1e-2
+
+
+def test_memory_counts_the_factor_and_what_is_made_with_it() -> None:
+    """The peak of an exact solution, of points that no factor of a few makes a difference to."""
+    for n, k in ((500_000, 96), (100_000, 1000)):
+        vectors = 8 * n * (704 + k) / 2**30
+        assert sk.Arpack.memory(n, k) > factor_gigabytes(n) + vectors
+        solver, _ = sk.Automatic(memory=vectors).choose(n, k)
+        assert isinstance(solver, sk.Cascade)
+        assert isinstance(sk.Automatic(memory=sk.Arpack.memory(n, k)).choose(n, k)[0], sk.Arpack)
+
+
+def test_each_component_has_its_own(tmp_path) -> None:
+    """A large part and small ones: approximate if any is, with errors of all."""
+    ball = bumpy()
+    small = [TriangleMesh(ball.points + [4.0 * i, 0, 0], ball.faces) for i in (1, 2)]
+    mesh = joined(creature(6000, seed=0), *small)
+    laplacian = sk.robust_laplacian(mesh)
+    found = sk.eigensolve(laplacian, 40, sk.Automatic(accuracy=1e-4))
+    exact = sk.eigensolve(laplacian, 40, sk.Arpack())
+    made = found.provenance
+    assert made.name == "cascade"
+    assert made.reason.endswith("; of 3 components, 2 by arpack")
+    assert made.accuracy == "approximate"
+    assert found.n_zero_modes == 3
+    assert errors(found, exact).mean() <= 1e-4
+    assert found.certificate.errors.shape == (40,)
+    found.save(tmp_path / "parts.npz")
+    assert sk.Spectrum.load(tmp_path / "parts.npz").provenance == made
+    few = sk.eigensolve(sk.robust_laplacian(joined(*small)), 20, sk.Automatic(accuracy=1e-4))
+    assert few.provenance.accuracy == "exact"
+    assert few.certificate.bounded.all()
+    assert few.certificate.level == "verified"
+
+
+def test_small_parts_are_solved_exactly() -> None:
+    """What solved is told, and counted where nothing is approximate."""
+    small = [TriangleMesh(bumpy().points + [4.0 * i, 0, 0], bumpy().faces) for i in (1, 2)]
+    found = sk.eigensolve(sk.robust_laplacian(joined(*small)), 20, sk.Cascade())
+    assert (
+        found.provenance.choice
+        == "arpack: an exact solution is quickest for 18 modes of 642 points"
+    )
+    assert (found.provenance.accuracy, found.certificate.level) == ("exact", "verified")
+    whole = sk.robust_laplacian(joined(creature(6000, seed=0), *small))
+    found = sk.eigensolve(whole, 40, sk.Cascade())
+    assert found.provenance.choice == "cascade: of 3 components, 2 by arpack"
+    assert found.provenance.accuracy == "approximate"
+    assert errors(found, sk.eigensolve(whole, 40, sk.Arpack())).mean() <= 1e-3
+    little = sk.eigensolve(sk.robust_laplacian(bumpy()), 60, sk.Automatic(memory=1e-6))
+    assert (little.provenance.name, little.provenance.accuracy) == ("arpack", "exact")
+
+
+def test_options_reach_what_is_chosen() -> None:
+    for accuracy, memory in ((None, 4.0), (1e-9, 4.0), (1e-3, 4.0), (None, 0.01), (1e-9, 0.01)):
+        solver = sk.Automatic(accuracy=accuracy, memory=memory, device="cpu:0", seed=7)
+        chosen, reason = solver.choose(100_000, 30)
+        assert chosen.seed == 7
+        assert getattr(chosen, "device", "cpu:0") == "cpu:0"
+        assert reason
+    assert chosen.target == 1e-9
+
+
+def test_nearly_all_modes_of_few_points() -> None:
+    laplacian = sk.robust_laplacian(sphere(subdivisions=2).geometry)
+    exact = sk.eigensolve(laplacian, laplacian.n, sk.Dense())
+    for k in (laplacian.n - 1, laplacian.n):
+        found = sk.eigensolve(laplacian, k, sk.Automatic(accuracy=1e-6))
+        np.testing.assert_allclose(found.eigenvalues, exact.eigenvalues[:k], rtol=1e-9, atol=1e-9)
+
+
+def test_what_cannot_be_chosen() -> None:
+    for accuracy in (0, -1e-3, np.nan, np.inf):
+        refused("accuracy", "be ", sk.Automatic, accuracy=accuracy)
+    for accuracy in (1, 50.0):
+        refused("accuracy", "be less than 1", sk.Automatic, accuracy=accuracy)
+    refused("accuracy", "be a number", sk.Automatic, accuracy="1e-3")
+    refused("memory", "be ", sk.Automatic, memory=0)
+    refused("seed", "be ", sk.Automatic, seed=-1)

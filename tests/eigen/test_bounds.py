@@ -1,0 +1,153 @@
+"""Errors told by residuals and gaps: bounds where modes were counted, estimates elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import bumpy, creature, joined, moved
+
+import spectra_kit as sk
+from spectra_kit.cli.tables import certificate_lines, modes_table
+from spectra_kit.eigen import Eigenpairs
+from spectra_kit.geometry import rectangle, sphere
+
+SHAPES = {
+    "sphere": lambda: sphere(subdivisions=3).geometry,
+    "rectangle": lambda: rectangle(n=1000).geometry,
+    "animal": lambda: creature(3000, seed=0),
+    "parts": lambda: joined(creature(1500, seed=0), moved(creature(900, seed=0), 9, 0, 0)),
+}
+K = 30
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("rtol", [1e-2, 1e-5])
+def test_no_counted_eigenvalue_is_off_by_more(shape, rtol):
+    laplacian = sk.robust_laplacian(SHAPES[shape]())
+    exact = sk.eigensolve(laplacian, K)
+    found = sk.eigensolve(laplacian, K, sk.Refined(start=sk.AmbientFourier(m=50), rtol=rtol))
+    least = np.maximum(exact.eigenvalues, found.certificate.residuals / rtol)
+    off = np.abs(found.eigenvalues - exact.eigenvalues) / least
+    certificate = found.certificate
+    assert certificate.bounded.sum() == certificate.n_verified >= 0.6 * K
+    assert (off <= certificate.errors + 1e-13)[certificate.bounded].all()
+    if rtol == 1e-2:  # far from rounding, they are of second order
+        gained = certificate.errors / certificate.relative_residuals
+        assert np.median(gained[3:][certificate.bounded[3:]]) < 0.5
+
+
+def test_tables_tell_which_kind_it_is(animal_spectrum):
+    exact = animal_spectrum.truncate(3)
+    rough = replace(exact.certificate, errors=[0, 1e-3, 2e-3], bounded=[True, True, False])
+    told = exact.described(rough, exact.provenance)
+    rows = modes_table(told, range(3)).splitlines()
+    assert [row.split("  ")[-1].strip() for row in rows[2:]] == ["at most 1e-03", "about 2e-03"]
+    assert "bounds for 2 of 3" in certificate_lines(told)
+    with pytest.raises(sk.errors.InvalidInputError, match="bounded"):
+        replace(rough, bounded=[True])
+
+
+def test_all_is_exact_up_to_rounding(animal, animal_spectrum):
+    certificate = animal_spectrum.certificate
+    assert certificate.bounded.all()
+    assert (certificate.errors < 1e-9).all()
+
+
+def test_estimates_where_nothing_is_counted(animal, animal_spectrum):
+    """Too low for none, of modes that were swept with a filter."""
+
+    class Loose:
+        def eigenpairs(self, laplacian: sk.Laplacian, k: int) -> Eigenpairs:
+            return sk.Refined(rtol=1e-2).eigenpairs(laplacian, k)
+
+    found = sk.eigensolve(animal, 20, Loose())
+    off = found.eigenvalues[1:] / animal_spectrum.eigenvalues[1:20] - 1
+    assert not found.certificate.bounded.any()
+    assert (found.certificate.errors[1:] > off / 3).all()
+
+
+def test_what_one_part_is_off_by_is_told_of_modes_of_another_that_come_before_it():
+    ball = sphere(subdivisions=3).geometry
+    smaller = moved(ball, 3, 0, 0, scale=1.001**-0.5)  # its eigenvalues are 1.001 times as high
+
+    class Mixed:
+        def eigenpairs(self, laplacian: sk.Laplacian, k: int) -> Eigenpairs:
+            found = sk.eigensolve(laplacian, 20)
+            values, vectors = found.eigenvalues[:k].copy(), found.eigenvectors[:, :k].copy()
+            if laplacian.area > 0.9995 * ball.area:  # the first of three copies, 1.0018 times
+                higher, part = found.eigenvalues[15], 0.019
+                vectors[:, 1] *= np.sqrt(1 - part**2)
+                vectors[:, 1] += part * found.eigenvectors[:, 15]
+                values[1] += part**2 * (higher - values[1])
+            return Eigenpairs(values, vectors)
+
+    laplacian = sk.robust_laplacian(joined(ball, smaller))
+    exact = sk.eigensolve(laplacian, 8).eigenvalues
+    found = sk.eigensolve(laplacian, 8, Mixed())
+    off, unit = found.eigenvalues - exact, np.maximum(exact, 1)
+    assert (off[[4, 7]] > 1e-3).all()  # of which the former is a mode of the exact part
+    assert (off <= 3 * found.certificate.errors * unit + 1e-9).all()
+
+
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
+def test_a_prediction_is_told_nothing_by_its_residuals(animal):
+    waves = sk.RayleighRitz(subspace=sk.AmbientFourier(m=60))
+    found = sk.eigensolve(animal, 20, waves)
+    assert found.certificate.relative_residuals.max() > 0.1
+    assert found.certificate.errors is None
+    assert not found.certificate.bounded.any()
+
+
+def test_values_that_are_no_rayleigh_quotients_are_off(animal, animal_spectrum):
+    """By as much as that, to first order; the bound says so."""
+    exact = animal_spectrum.truncate(20)
+    wrong = exact.eigenvalues * (1 + 1e-5 * np.sin(np.arange(20)))
+    given = sk.verify(sk.Spectrum(wrong, exact.eigenvectors, exact.mass), animal)
+    bounded = given.certificate.bounded
+    assert bounded[1:-1].all()
+    least = np.maximum(exact.eigenvalues, animal.eigenvalue_spacing)
+    off = np.abs(wrong - exact.eigenvalues) / least
+    assert (given.certificate.errors >= off - 1e-12)[bounded].all()
+
+
+def test_the_kinds_stay_with_the_modes(tmp_path, animal_spectrum):
+    animal_spectrum.save(tmp_path / "s.npz")
+    for same in (sk.Spectrum.load(tmp_path / "s.npz"), animal_spectrum.rescale(3.0)):
+        certificate = same.certificate
+        np.testing.assert_array_equal(certificate.bounded, animal_spectrum.certificate.bounded)
+        np.testing.assert_array_equal(certificate.errors, animal_spectrum.certificate.errors)
+    assert animal_spectrum.truncate(5).certificate.bounded.tolist() == [True] * 5
+    assert len(animal_spectrum.nonzero().certificate.bounded) == animal_spectrum.k - 1
+
+
+def test_modes_that_are_not_of_unit_norm():
+    """A mode too long makes its Rayleigh quotient too large by the square: bounds must tell."""
+    laplacian = sk.robust_laplacian(sphere(subdivisions=3).geometry)
+    exact = sk.eigensolve(laplacian, 9)
+    long = sk.Spectrum(1.0201 * exact.eigenvalues, 1.01 * exact.eigenvectors, laplacian.mass)
+    proved = sk.verify(long, laplacian).certificate
+    off = np.abs(long.eigenvalues[1:] / exact.eigenvalues[1:] - 1)
+    assert (proved.errors[1:] >= off)[proved.bounded[1:]].all()
+
+
+def test_errors_stay_with_their_modes_when_the_constant_comes_out() -> None:
+    """A mode that held some of the constant has another place without it."""
+    laplacian = sk.robust_laplacian(bumpy())
+    exact = sk.eigensolve(laplacian, 10, sk.Dense())
+    told = np.arange(1.0, 11.0) * 1e-3
+    turned = np.eye(10)
+    turned[np.ix_([0, 8], [0, 8])] = np.array([[3, 4], [-4, 3]]) / 5
+
+    class Mixed:
+        def eigenpairs(self, laplacian: sk.Laplacian, k: int) -> Eigenpairs:
+            vectors = exact.eigenvectors @ turned
+            values = np.diag(turned.T @ (exact.eigenvalues[:, None] * turned))
+            return Eigenpairs(values, vectors, errors=told)
+
+    found = sk.eigensolve(laplacian, 10, Mixed())
+    np.testing.assert_allclose(found.eigenvalues, exact.eigenvalues, rtol=1e-9, atol=1e-12)
+    expected = told.copy()
+    expected[[0, 8]] = 0.0, told[8]
+    np.testing.assert_array_equal(found.certificate.errors, expected)

@@ -1,0 +1,231 @@
+"""Many at once: what single calls return, however they are put together."""
+
+import pickle
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from conftest import GEOMETRIES, creature, data_folder, joined, laplacian_of, moved
+
+import spectra_kit as sk
+from spectra_kit import Neo, eigensolve, eigensolve_many, robust_laplacian
+from spectra_kit.eigen.many import _groups
+from spectra_kit.errors import DoubtfulSpectrumWarning, InvalidInputError, SpectraKitError
+from spectra_kit.geometry import sample, torus
+from spectra_kit.neo.train.pool import open_pool
+
+K = 24
+# What padding and other shapes of products change: rounding of a float32 network, in functions
+# that are then smoothed. Of eight real clouds of 2,048 points no eigenvalue differed by over 5e-8.
+ROUNDING = 1e-6
+
+
+@cache
+def bodies() -> tuple[sk.Laplacian, ...]:
+    """Bodies of several sizes, no two alike; the last is small enough to be solved exactly."""
+    return tuple(
+        robust_laplacian(creature(n, seed=seed))
+        for seed, n in enumerate((900, 1100, 640, 1020, 505))
+    )
+
+
+def pair() -> sk.Laplacian:
+    """Two components."""
+    return robust_laplacian(joined(creature(700, seed=5), moved(creature(600, seed=6), 9, 0, 0)))
+
+
+def assert_same(found: sk.Spectrum, single: sk.Spectrum, rtol: float = ROUNDING) -> None:
+    """The same eigenvalues, and the same span of the modes below a gap."""
+    zero = single.n_zero_modes
+    assert found.n_zero_modes == zero
+    np.testing.assert_allclose(
+        found.eigenvalues[zero:], single.eigenvalues[zero:], rtol=rtol, atol=0
+    )
+    k = zero + int(np.argmax(np.diff(single.eigenvalues[zero:]))) + 1
+    both = found.eigenvectors[:, :k].T @ (single.mass[:, None] * single.eigenvectors[:, :k])
+    angles = np.arccos(np.clip(np.linalg.svd(both, compute_uv=False), 0, 1))
+    assert angles.max() < 1e3 * rtol  # eigenvalues err by the square of what their modes do
+
+
+@pytest.mark.parametrize("batch", [1, 2500, 10_000])
+def test_spectra_are_those_of_single_calls_in_the_order_given(batch):
+    solver, shapes = Neo(), bodies()
+    found = eigensolve_many(shapes, K, solver, batch=batch)
+    assert [spectrum.n for spectrum in found] == [shape.n for shape in shapes]
+    for spectrum, shape in zip(found, shapes, strict=True):
+        single = eigensolve(shape, K, solver)
+        assert_same(spectrum, single)
+        ours, theirs = spectrum.provenance, single.provenance
+        for name in ("solver", "name", "input_hash", "accuracy", "iterations", "version"):
+            assert getattr(ours, name) == getattr(theirs, name)
+        assert set(ours.seconds) == set(theirs.seconds)
+        assert spectrum.certificate.orthonormality_error < 1e-10
+        np.testing.assert_allclose(
+            spectrum.certificate.residuals, single.certificate.residuals, rtol=1e-3, atol=1e-6
+        )
+
+
+def test_another_order_changes_rounding_alone():
+    shapes, order = bodies(), [3, 0, 4, 2, 1]
+    found = eigensolve_many(shapes, K, Neo())
+    turned = eigensolve_many([shapes[i] for i in order], K, Neo())
+    for i, spectrum in zip(order, turned, strict=True):
+        assert_same(spectrum, found[i])
+
+
+@pytest.fixture
+def torch_in_two_threads():
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+def test_the_number_of_threads_changes_no_bit(monkeypatch, torch_in_two_threads):
+    found = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
+        found.append(eigensolve_many(bodies(), K, Neo(), batch=1100))
+        assert torch.get_num_threads() == 2
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one.eigenvalues, other.eigenvalues)
+        np.testing.assert_array_equal(one.eigenvectors, other.eigenvectors)
+
+
+def test_what_cannot_share_a_pass_is_solved_beside_the_others():
+    huge = bodies()[0]
+    huge = robust_laplacian(creature(900, seed=0).with_points(1e12 * huge.points))
+    cut = bodies()[1].dirichlet(np.arange(50))
+    shapes = [bodies()[0], pair(), cut, huge, bodies()[3]]
+    for spectrum, shape in zip(eigensolve_many(shapes, K, Neo()), shapes, strict=True):
+        assert_same(spectrum, eigensolve(shape, K, Neo()))
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [Neo(cap=300), Neo(smoothing=0), Neo(poses=2, chunk=700)],
+    ids=["cap", "raw", "poses"],
+)
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
+def test_every_option_of_the_solver_holds(solver):
+    for spectrum, shape in zip(eigensolve_many(bodies()[:4], K, solver), bodies(), strict=False):
+        assert_same(spectrum, eigensolve(shape, K, solver), 1e-4 if not solver.smoothing else 1e-6)
+
+
+@pytest.mark.parametrize("solver", [sk.Arpack(), sk.Automatic(), sk.Dense()], ids=str)
+def test_a_solver_that_takes_one_after_the_other_gives_the_same_bits(solver):
+    shapes = [laplacian_of(name) for name in GEOMETRIES]
+    for spectrum, shape in zip(eigensolve_many(shapes, 7, solver), shapes, strict=True):
+        single = eigensolve(shape, 7, solver)
+        np.testing.assert_array_equal(spectrum.eigenvalues, single.eigenvalues)
+        np.testing.assert_array_equal(spectrum.eigenvectors, single.eigenvectors)
+
+
+def test_of_none_there_are_none():
+    assert eigensolve_many([], 5) == []
+    assert eigensolve_many([], 5, Neo()) == []
+
+
+def test_batches_are_of_similar_size_and_of_no_more_points_than_allowed():
+    shapes = [*bodies(), pair()]
+    for batch in (1, 2300, 10_000):
+        groups = _groups(shapes, batch)
+        assert sorted(i for group in groups for i in group) == list(range(len(shapes)))
+        for group in groups:
+            sizes = [shapes[i].n for i in group]
+            assert min(sizes) >= 0.8 * max(sizes)
+            assert len(group) == 1 or len(group) * max(sizes) <= batch
+            assert len(group) == 1 or 5 not in group  # the one with two components
+    assert len(_groups(bodies(), 10_000)) < len(bodies())
+
+
+class Shy(sk.Dense):
+    """Fails where it is given several at once."""
+
+    def begin(self, laplacians, k):
+        raise MemoryError
+
+
+def test_what_fails_together_is_tried_apart():
+    found = eigensolve_many(bodies()[2:], 9, Shy())
+    for spectrum, shape in zip(found, bodies()[2:], strict=True):
+        np.testing.assert_array_equal(
+            spectrum.eigenvalues, eigensolve(shape, 9, sk.Dense()).eigenvalues
+        )
+
+
+def one_place() -> sk.Laplacian:
+    """A good operator whose points say nothing."""
+    shape = bodies()[3]
+    return sk.Laplacian(shape.stiffness, shape.mass, np.zeros((shape.n, 3)))
+
+
+def few(laplacians: list[sk.Laplacian], k: int = K) -> list[sk.Spectrum]:
+    return eigensolve_many(laplacians, k, sk.RayleighRitz(subspace=sk.AmbientFourier(m=12)))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda: eigensolve_many([bodies()[0], bodies()[4]], 600, Neo()),
+            r"laplacians\[1\]: `k` must be at most the number of free points, ",
+        ),
+        (
+            lambda: eigensolve_many([bodies()[3], one_place(), bodies()[0]], K, Neo()),
+            r"laplacians\[1\]: `points` must not share one location",
+        ),
+        (lambda: few([bodies()[0], bodies()[1]], 30), r"laplacians\[0\]: `basis` must span"),
+    ],
+)
+def test_an_error_says_which_one_it_is_about(call, message):
+    with pytest.raises(InvalidInputError, match=message) as caught:
+        call()
+    assert caught.value.where == message[: message.index(":")].replace("\\", "")
+
+
+def test_batches_have_a_size():
+    with pytest.raises(InvalidInputError, match="`batch` must be at least 1, got 0"):
+        eigensolve_many(bodies(), K, Neo(), batch=0)
+
+
+def test_a_warning_says_which_one_it_is_about():
+    waves = sk.RayleighRitz(subspace=sk.AmbientFourier(m=40))
+    with pytest.warns(DoubtfulSpectrumWarning) as caught:
+        eigensolve_many(bodies()[:2], K, waves)
+    assert [str(one.message).partition(":")[0] for one in caught] == [
+        "laplacians[0]",
+        "laplacians[1]",
+    ]
+    assert {one.filename for one in caught} == {__file__}
+    with pytest.warns(DoubtfulSpectrumWarning) as alone:
+        eigensolve(bodies()[0], K, waves)
+    assert str(caught[0].message) == f"laplacians[0]: {alone[0].message}"
+
+
+def test_where_is_kept_by_pickle():
+    error = InvalidInputError("k", "be positive", 0)
+    error.where = "laplacians[2]"
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)
+    assert isinstance(error, SpectraKitError)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+def test_an_accelerator_gives_what_the_host_does():
+    found = eigensolve_many(bodies(), K, Neo(device="cuda"), batch=65_536)
+    for spectrum, shape in zip(found, bodies(), strict=True):
+        assert_same(spectrum, eigensolve(shape, K, Neo()), 1e-4)
+
+
+@pytest.mark.data
+@pytest.mark.filterwarnings("ignore:the cloud falls into")  # as one of them has parts
+def test_real_clouds_are_solved_as_alone():
+    folder = data_folder()
+    if folder is None or not (folder / "train_pool").is_dir():
+        pytest.skip("set SPECTRA_KIT_DATA to the folder of real shapes to run this")
+    pool = open_pool(folder / "train_pool", "val")
+    clouds = [sample(pool.mesh(7 * i), 900 + 50 * i, seed=i) for i in range(6)]
+    shapes = [sk.laplacian(cloud) for cloud in (*clouds, torus(n=800).geometry)]
+    for spectrum, shape in zip(eigensolve_many(shapes, 64, Neo()), shapes, strict=True):
+        assert_same(spectrum, eigensolve(shape, 64, Neo()))

@@ -1,0 +1,145 @@
+"""An index over a folder: what is found, what is taken over, what is left out."""
+
+import numpy as np
+import pytest
+import torch
+
+from spectra_kit.eigen import Neo
+from spectra_kit.errors import InvalidFileError, InvalidInputError
+from spectra_kit.features import ShapeDNA, WaveSignature
+from spectra_kit.geometry import PointCloud, TriangleMesh, creature, read, sphere, torus, write
+from spectra_kit.learn import Recipe, ShapeIndex, index_folder
+from spectra_kit.neo import NeoConfig, NeoNetwork, save_weights
+
+RECIPE = Recipe(embeddings=(ShapeDNA(count=12), WaveSignature(count=5)), k=24)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for pose in range(3):
+        write(creature(700, pose=pose), tmp_path / f"animal{pose}.off")
+    for i, minor in enumerate((0.3, 0.35)):
+        write(torus(n=600, minor=minor).geometry, tmp_path / f"ring{i}.ply")
+    (tmp_path / "notes.txt").write_text("not a shape")
+    return tmp_path
+
+
+@pytest.fixture
+def embedded(monkeypatch):
+    """Numbers of points of the shapes that were embedded."""
+    seen, vector = [], Recipe.vector
+    monkeypatch.setattr(
+        Recipe, "vector", lambda self, shape: seen.append(shape.n) or vector(self, shape)
+    )
+    return seen
+
+
+def test_the_nearest_are_those_of_its_kind_in_any_unit(folder):
+    index = index_folder(folder, RECIPE)
+    assert index.names == ("animal0.off", "animal1.off", "animal2.off", "ring0.ply", "ring1.ply")
+    asked = creature(1100, pose=1)
+    found = index.nearest(TriangleMesh(40 * asked.points + 3, asked.faces), count=4)
+    assert {near.name for near in found[:3]} == {"animal0.off", "animal1.off", "animal2.off"}
+    distances = [near.distance for near in found]
+    assert distances == sorted(distances)
+    assert distances[2] < 0.5 * distances[3]
+    spread = index.vectors.std(axis=0)
+    gaps = np.abs(index.vectors[3] - RECIPE.vector(asked)) / spread
+    nearest = index.nearest(asked, count=9)
+    assert len(nearest) == 5
+    assert dict(nearest)["ring0.ply"] == pytest.approx(gaps.mean())
+
+
+def test_itself_is_at_no_distance(folder):
+    index = index_folder(folder, RECIPE)
+    first = index.nearest(read(folder / "ring1.ply"), count=1)[0]
+    assert first.name == "ring1.ply"
+    assert first.distance == pytest.approx(0, abs=1e-9)
+
+
+def test_only_what_is_new_is_embedded_again(folder, embedded):
+    index = index_folder(folder, RECIPE)
+    assert len(embedded) == 5
+    write(torus(n=800, minor=0.2).geometry, folder / "ring0.ply")
+    write(creature(900, seed=3), folder / "other.off")
+    (folder / "animal0.off").rename(folder / "renamed.off")
+    embedded.clear()
+    known = index_folder(folder, RECIPE, known=index)
+    assert len(embedded) == 2
+    assert min(embedded) > 700
+    fresh = index_folder(folder, RECIPE)
+    assert known.names == fresh.names
+    np.testing.assert_array_equal(known.vectors, fresh.vectors)
+
+
+def test_what_was_made_otherwise_is_not_taken_over(folder, embedded):
+    index = index_folder(folder, RECIPE)
+    embedded.clear()
+    index_folder(folder, Recipe(embeddings=RECIPE.embeddings, k=25), known=index)
+    assert len(embedded) == 5
+    embedded.clear()
+    index_folder(folder, RECIPE, known=index, load=lambda path: read(path).as_cloud()
+                 if path.endswith(".off") else read(path))  # fmt: skip
+    assert len(embedded) == 3
+
+
+def test_other_weights_under_the_same_name_are_other_weights(folder, tmp_path, embedded):
+    path = tmp_path / "w.safetensors"
+    config = NeoConfig(width=16, depth=1, heads=2, head_width=8, latents=4, m=40, k=24)
+    torch.manual_seed(0)
+    save_weights(path, NeoNetwork(config), {})
+    recipe = Recipe(embeddings=RECIPE.embeddings, k=24, solver=Neo(weights=str(path)))
+    index = index_folder(folder, recipe)
+    embedded.clear()
+    index_folder(folder, recipe, known=index)
+    assert embedded == []
+    save_weights(path, NeoNetwork(config), {})
+    index_folder(folder, recipe, known=index)
+    assert len(embedded) == 5
+
+
+def test_folders_and_broken_links_among_the_files_are_passed_over(folder):
+    (folder / "scans.ply").mkdir()
+    (folder / "gone.off").symlink_to(folder / "nowhere.off")
+    assert len(index_folder(folder, RECIPE).names) == 5
+
+
+def test_an_index_whose_parts_do_not_fit():
+    with pytest.raises(InvalidInputError, match="`vectors` must have 2 rows"):
+        ShapeIndex(RECIPE, ("a", "b"), ("0", "1"), np.ones((3, 4)))
+
+
+def test_what_cannot_be_embedded_is_named_and_the_rest_goes_on(folder):
+    ball = sphere(subdivisions=2).geometry
+    two = np.concatenate([ball.points, ball.points + 9])
+    write(TriangleMesh(two, np.concatenate([ball.faces, ball.faces + ball.n])), folder / "two.off")
+    write(PointCloud(np.eye(3)), folder / "tiny.xyz")
+    (folder / "broken.obj").write_text("v 1\n")
+    told = []
+    index = index_folder(folder, RECIPE, progress=lambda done, total: told.append((done, total)))
+    assert len(index.names) == 5
+    assert set(index.failures) == {"two.off", "tiny.xyz", "broken.obj"}
+    assert "2 components" in str(index.failures["two.off"])
+    assert told == [(i + 1, 8) for i in range(8)]
+
+
+def test_a_saved_index_finds_the_same(folder, tmp_path):
+    index = index_folder(folder, RECIPE)
+    index.save(tmp_path / "index.safetensors")
+    again = ShapeIndex.load(tmp_path / "index.safetensors")
+    assert (again.names, again.digests, again.recipe) == (index.names, index.digests, RECIPE)
+    asked = creature(900, pose=2)
+    assert again.nearest(asked) == index.nearest(asked)
+    data = (tmp_path / "index.safetensors").read_bytes()
+    (tmp_path / "index.safetensors").write_bytes(data[:-9])
+    with pytest.raises(InvalidFileError):
+        ShapeIndex.load(tmp_path / "index.safetensors")
+
+
+def test_folders_without_shapes(tmp_path):
+    for folder in (tmp_path, tmp_path / "none"):
+        with pytest.raises(InvalidInputError, match="`folder` must hold meshes or clouds"):
+            index_folder(folder, RECIPE)
+    write(PointCloud(np.eye(3)), tmp_path / "tiny.xyz")
+    with pytest.raises(InvalidInputError, match="hold a shape at least"):
+        index_folder(tmp_path, RECIPE).nearest(creature(600))

@@ -1,0 +1,246 @@
+"""Maps of what has none, of what has many, of parts; and what is known before: it is kept."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from conftest import creature, refused
+from scipy.spatial import cKDTree
+
+from spectra_kit import TriangleMesh, robust_laplacian
+from spectra_kit.eigen import eigensolve
+from spectra_kit.errors import DoubtfulMatchWarning
+from spectra_kit.geometry import (
+    Geometry,
+    creature_pair,
+    largest_component,
+    mirrored,
+    permuted,
+    rectangle,
+    sphere,
+    torus,
+)
+from spectra_kit.maps import Match, Prepared, match, match_part, prepare
+from spectra_kit.maps.topology import clustered, topology_of
+
+K = 50
+QUICK = {"elastic": False, "mirrored": False}
+
+
+@cache
+def prepared(geometry: Geometry, k: int = K) -> Prepared:
+    return prepare(eigensolve(robust_laplacian(geometry), k), geometry)
+
+
+def doubted(*pair: Geometry, **options: object) -> Match:
+    with pytest.warns(DoubtfulMatchWarning):
+        return match(*map(prepared, pair), **options)
+
+
+def ball_with(radius: np.ndarray) -> TriangleMesh:
+    ball = sphere(subdivisions=3).geometry
+    return ball.with_points(ball.points * np.reshape(radius, (-1, 1)))
+
+
+def part_of(mesh: TriangleMesh, kept: np.ndarray) -> TriangleMesh:
+    faces = mesh.faces[kept[mesh.faces].all(axis=1)]
+    return largest_component(TriangleMesh(mesh.points, faces)).mesh
+
+
+# --- what a surface is ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("holes", [0, 1, 3])
+@pytest.mark.parametrize(
+    ("mesh", "genus"),
+    [(sphere(subdivisions=3).geometry, 0), (torus(n=800).geometry, 1)],
+    ids=["ball", "ring"],
+)
+def test_handles_and_rims_are_counted(mesh, genus, holes) -> None:
+    """Holes are no handles; the square of a rim is the sum of those around what is left out."""
+    apart = [0, mesh.n // 3, 2 * mesh.n // 3][:holes]
+    centres = [int(mesh.faces[(mesh.faces == v).any(axis=1)][0, 0]) for v in apart]
+    left_out = np.isin(mesh.faces, centres).any(axis=1)
+    around = dict.fromkeys(centres, 0.0)
+    for ring in mesh.faces[left_out]:
+        centre = int(ring[np.isin(ring, centres)][0])
+        i, j = ring[ring != centre]
+        around[centre] += float(np.linalg.norm(mesh.points[i] - mesh.points[j]))
+    rim = np.linalg.norm(list(around.values()))
+    holed = TriangleMesh(mesh.points, mesh.faces[~left_out]).without_unreferenced()
+    side = prepared(holed, 30)
+    scale = 1 / np.sqrt(eigensolve(robust_laplacian(holed), 4).area)
+    found = topology_of(side.surface)
+    assert found.genus == genus
+    assert found.rim == pytest.approx(rim * scale, rel=1e-9)
+
+
+def test_what_is_no_surface_has_no_genus() -> None:
+    assert topology_of(prepared(creature(600).as_cloud(), 30).surface).genus is None
+    ball = sphere(subdivisions=2).geometry
+    cut = TriangleMesh(ball.points, ball.faces[np.arange(len(ball.faces)) % 7 > 0])
+    rim = topology_of(prepared(part_of(cut, np.ones(cut.n, bool)), 30).surface)
+    assert rim.genus is None  # its holes meet at corners
+    assert rim.rim > 1
+
+
+def test_eigenvalues_in_clusters_are_seen() -> None:
+    """The exact ones of a sphere; by chance (Poisson, Weyl's law) the mean is 1."""
+    degrees = np.arange(5)
+    assert clustered(np.repeat(degrees * (degrees + 1.0), 2 * degrees + 1)) > 3
+    rng = np.random.default_rng(0)
+    drawn = [clustered(np.cumsum([0, *rng.exponential(size=10)])) for _ in range(4000)]
+    assert np.mean(drawn) == pytest.approx(1, abs=0.1)  # quotients of sums: nearly independent
+    ratio = (1 + 5**0.5) / 2
+    pairs = np.sort([(m * np.pi) ** 2 + (n * np.pi / ratio) ** 2 for m, n in np.ndindex(5, 5)])
+    assert clustered(pairs) < 1.5
+
+
+# --- no answer, or many ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "other",
+    [creature(600), torus(n=600).geometry, sphere(subdivisions=3).geometry],
+    ids=["animal", "ring", "ball"],
+)
+def test_noise_is_no_map_of_anything(other) -> None:
+    ball = sphere(subdivisions=3).geometry
+    noise = np.random.default_rng(0).normal(size=ball.points.shape)
+    found = doubted(ball.with_points(ball.points + 0.3 * noise), other)
+    assert not found.convincing
+    assert {"score", "alike"} & set(found.doubts)
+
+
+def test_a_ring_is_no_ball() -> None:
+    found = doubted(torus(n=600).geometry, sphere(subdivisions=3).geometry, elastic=False)
+    assert found.genera == (1, 0)
+    assert "genera" in found.doubts
+    assert not found.convincing
+
+
+x, y, z = sphere(subdivisions=3).geometry.points.T
+ROUND = {
+    "ball": np.ones_like(x),
+    "spindle": 1 + 0.5 * z**2,
+    "nearly round": 1 + 0.05 * x * y,
+}
+
+
+@pytest.mark.parametrize("radius", ROUND.values(), ids=ROUND.keys())
+def test_round_surfaces_are_ambiguous_until_told(radius) -> None:
+    """By twelve landmarks, or by where the points are."""
+    one = ball_with(radius)
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    other, truth = permuted(ball_with(radius + 0.02 * np.sin(5 * x + 3 * z)), seed=2)
+    moved = other.with_points(other.points @ turn)
+    found = doubted(one, moved, **QUICK)
+    assert found.ambiguous
+    assert found.alike
+    assert found.confidence <= 0.5
+    there = np.arange(0, one.n, one.n // 12)
+    by_landmarks = match(*map(prepared, (one, moved)), landmarks=(truth[there], there), **QUICK)
+    near = cKDTree(one.points).query(other.points)[1]
+    by_places = match(*map(prepared, (one, other)), initial=near, **QUICK)
+    spacing = np.sqrt(4 * np.pi / one.n)
+    for told in (by_landmarks, by_places):
+        assert not told.alike
+        assert told.convincing
+        apart = np.linalg.norm(one.points[told.point_map] - one.points[truth], axis=1)
+        assert apart.mean() < 3 * spacing
+
+
+def test_two_parts_are_not_taken_for_wholes() -> None:
+    """Nor a part for a whole; but small holes hide nothing."""
+    one, other, rest = creature(700, pose=1), creature(700, pose=2), creature(700, pose=0)
+    front, back = part_of(one, rest.points[:, 0] < 0.1), part_of(other, rest.points[:, 0] > -0.1)
+    for pair in ((front, back), (front, other)):
+        found = doubted(*pair, elastic=False)
+        assert "rims" in found.doubts
+        assert not found.convincing
+    with pytest.warns(DoubtfulMatchWarning, match="the whole is cut off, too"):
+        assert not match_part(prepared(front), prepared(back), mirrored=False).convincing
+    middle = np.linalg.norm(rest.points - rest.points[0], axis=1) > 0.08
+    holed = [part_of(mesh, middle) for mesh in (one, other)]
+    found = match(*map(prepared, holed), elastic=False)
+    assert min(found.rims) > 0
+    assert found.convincing
+
+
+def test_many_small_holes_are_no_cut() -> None:
+    """Whose borders together are longer than that of a part."""
+    one, other = creature(1000, pose=1), creature(1000, pose=2)
+    holed = part_of(one, ~np.isin(np.arange(1000), [100, 400, 650, 900]))
+    found = match(prepared(holed), prepared(other), elastic=False)
+    sides = np.sort(np.concatenate([holed.faces[:, [c - 1, c]] for c in range(3)]), axis=1)
+    edges, uses = np.unique(sides, axis=0, return_counts=True)
+    ends = holed.points[edges[uses == 1]]
+    border = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).sum() / np.sqrt(holed.area)
+    assert border > 0.6
+    assert found.rims == (pytest.approx(border / 2, rel=0.1), 0)  # four of about one length
+    assert "rims" not in found.doubts
+    assert found.convincing
+
+
+# --- what is known before -------------------------------------------------------------------
+
+
+def test_landmarks_hold_or_are_told() -> None:
+    """Where they are right, in the map; four exchanged ones are named as lost."""
+    one, other, truth = creature_pair(700, 600, seed=2)
+    a, b = prepared(one), prepared(other)
+    there = np.arange(0, 600, 50)
+    here = truth[there]
+    found = match(a, b, landmarks=(here, there), precise=True)
+    assert found.landmarks_held.all()
+    assert (found.point_map[there] == here).all()
+    assert (found.precise @ one.points)[there] == pytest.approx(one.points[here])
+    wrong = here.copy()
+    wrong[:4] = here[[6, 7, 8, 9]]
+    with pytest.warns(DoubtfulMatchWarning, match="4 of 12 landmarks are lost"):
+        mixed = match(a, b, landmarks=(wrong, there))
+    assert "landmark_distances" in mixed.doubts
+    assert not mixed.landmarks_held[:4].any()
+    held = mixed.landmarks_held
+    assert (mixed.point_map[there[held]] == wrong[held]).all()
+    assert mixed.confidence < found.confidence
+
+
+@pytest.mark.parametrize("kind", ["mesh", "cloud", "mirrored", "alone"])
+def test_an_initial_map_is_refined(kind) -> None:
+    """From the points nearest to where noise takes them, a copy is found again; nothing else is."""
+    mesh = creature(600)
+    copy, truth = permuted(mesh, seed=4)
+    noise = 0.03 * np.random.default_rng(0).normal(size=copy.points.shape)
+    near = cKDTree(mesh.points).query(copy.points + noise)[1]
+    assert (near != truth).mean() > 0.2
+    if kind == "mirrored":
+        image = mirrored(copy)
+        copy = TriangleMesh(image.points, image.faces)
+    one, other = (m.as_cloud() if kind == "cloud" else m for m in (mesh, copy))
+    a, b = prepared(one), prepared(other)
+    if kind == "alone":
+        a, b = prepare(a.spectrum), prepare(b.spectrum)
+    found = match(a, b, initial=near)
+    # Modes alone cannot tell the two sides of a thin limb.
+    assert (found.point_map == truth).mean() >= (0.95 if kind == "alone" else 1)
+    assert len(found.candidates) == 1
+    assert found.mirrored == (kind == "mirrored")
+    refused("initial", "have shape (600,)", match, a, b, initial=near[:-1])
+    refused("initial", "be in [0, 600)", match, a, b, initial=near + 600)
+
+
+def test_an_initial_map_of_dense_surfaces_is_one_of_all_points() -> None:
+    mesh = creature(2400)
+    side = prepare(eigensolve(robust_laplacian(mesh), K), mesh, n_points=1000)
+    assert side.dense is not None
+    found = match(side, side, initial=np.arange(mesh.n), mirrored=False)
+    assert (found.point_map == np.arange(mesh.n)).mean() > 0.9
+
+
+def test_sheets_may_be_open() -> None:
+    sheet = rectangle(n=400).geometry
+    assert "rims" not in match(prepared(sheet, 40), prepared(sheet, 40), **QUICK).doubts

@@ -1,0 +1,155 @@
+"""Spectrum slicing against spectra that are known, and against LAPACK."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+from conftest import refused
+from scipy import linalg, sparse
+
+import spectra_kit as sk
+from spectra_kit._sparse.block_lanczos import BlockLanczos
+from spectra_kit._sparse.slicing import _cut, sliced_eigenpairs
+from spectra_kit.eigen import arpack
+from spectra_kit.geometry import creature, sphere
+
+
+def cycle(n: int) -> sparse.csr_array:
+    """The graph Laplacian of a closed path: eigenvalues 2 - 2 cos(2 pi j / n)."""
+    off = -np.ones(n - 1)
+    ends = np.array([-1.0])
+    diagonals = [ends, off, np.full(n, 2.0), off, ends]
+    return sparse.csr_array(sparse.diags_array(diagonals, offsets=[1 - n, -1, 0, 1, n - 1]))
+
+
+def grid(n: int, stretch: float) -> tuple[sparse.csr_array, np.ndarray]:
+    """A periodic grid of n by n points: a square where `stretch` is one, with eightfold values."""
+    eye = sparse.eye_array(n)
+    L = sparse.kron(cycle(n), eye) + stretch * sparse.kron(eye, cycle(n))
+    one = 2 - 2 * np.cos(2 * np.pi * np.arange(n) / n)
+    return sparse.csr_array(L), np.sort((one[:, None] + stretch * one).ravel())
+
+
+@pytest.mark.parametrize("stretch", [1.0, 0.7])
+@pytest.mark.parametrize("k", [40, 301])
+def test_the_spectrum_of_a_torus_copies_included(k: int, stretch: float) -> None:
+    L, exact = grid(60, stretch)
+    mass = np.full(3600, 0.5)
+    found = sliced_eigenpairs(L, mass, k, below=-1e-3, spacing=2 * exact[k] / k)
+    assert found.eigenvalues == pytest.approx(2 * exact[:k], abs=1e-11)
+    U = found.eigenvectors
+    assert np.abs(U.T @ (mass[:, None] * U) - np.eye(k)).max() < 1e-10
+    assert np.abs(L @ U - mass[:, None] * U * found.eigenvalues).max() < 1e-9
+
+
+def test_more_copies_of_an_eigenvalue_than_a_block_has_vectors() -> None:
+    """The hypercube: eigenvalues 2 j, as many times as there are corners with j ones."""
+    L = sparse.csr_array(sparse.coo_array(np.zeros((1, 1))))
+    edge = sparse.csr_array([[1.0, -1.0], [-1.0, 1.0]])
+    for _ in range(11):
+        eye = sparse.eye_array(L.shape[0])
+        L = sparse.csr_array(sparse.kron(L, sparse.eye_array(2)) + sparse.kron(eye, edge))
+    copies = np.repeat(2.0 * np.arange(12), linalg.pascal(12, kind="lower")[-1].astype(int))
+    laplacian = sk.Laplacian(L, np.ones(2048), np.random.default_rng(0).random((2048, 3)))
+    spectrum = sk.eigensolve(laplacian, 60)
+    assert spectrum.eigenvalues == pytest.approx(copies[:60], abs=1e-8)
+    assert spectrum.certificate.n_verified == 60
+
+
+@pytest.mark.parametrize("weight", [1e-7, 0.1])
+def test_clusters_wider_than_the_space_of_a_run(monkeypatch, weight: float) -> None:
+    """Sixty spheres on weak links: sixty values about zero, 180 about two; k cuts these."""
+    one = sk.robust_laplacian(sphere(subdivisions=1).geometry)
+    ends = one.n * np.arange(59)
+    pick = sparse.eye_array(60 * one.n, format="csr")
+    links = pick[ends] - pick[ends + one.n + 5]
+    L = sparse.csr_array(sparse.block_diag([one.stiffness] * 60) + weight * (links.T @ links))
+    points = np.vstack([one.points + [5.0 * i, 0, 0] for i in range(60)])
+    laplacian = sk.Laplacian(L, np.tile(one.mass, 60), points)
+    spectrum = sk.eigensolve(laplacian, 100)
+    exact = sk.eigensolve(laplacian, 100, sk.Dense())
+    assert spectrum.eigenvalues == pytest.approx(exact.eigenvalues, rel=1e-9, abs=1e-9)
+    assert spectrum.certificate.n_verified == 100
+    if weight == 1e-7:
+        monkeypatch.setattr(arpack, "WIDE", 8)
+        monkeypatch.setattr(sk.Dense, "few", 0)  # which would go on from there
+        with pytest.raises(sk.ConvergenceError, match=r"more equal eigenvalues .* use Dense"):
+            sk.eigensolve(laplacian, 100)
+
+
+@pytest.fixture(scope="module")
+def uneven() -> sk.Laplacian:
+    return sk.robust_laplacian(creature(1800, seed=1))
+
+
+@pytest.fixture(scope="module")
+def exact(uneven: sk.Laplacian) -> sk.Spectrum:
+    """By LAPACK, as many modes as are found by slicing."""
+    return sk.eigensolve(uneven, uneven.n // 3 - 1, sk.Dense())
+
+
+def test_against_lapack_up_to_the_end_of_what_is_sliced(uneven, exact) -> None:
+    k = exact.k
+    found = sk.eigensolve(uneven, k)
+    assert found.eigenvalues == pytest.approx(exact.eigenvalues, rel=1e-9, abs=1e-9)
+    assert found.certificate.relative_residuals.max() < 1e-9
+    assert found.certificate.orthonormality_error < 1e-10
+    assert found.certificate.n_verified == k
+
+
+def test_the_bits_do_not_depend_on_the_number_of_threads(uneven, monkeypatch) -> None:
+    many = sk.Arpack().eigenpairs(uneven, 200)
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
+    one = sk.Arpack().eigenpairs(uneven, 200)
+    assert np.array_equal(many.eigenvectors, one.eigenvectors)
+
+
+def test_with_too_few_shifts_the_lowest_modes_are_kept(uneven, exact) -> None:
+    with pytest.raises(sk.ConvergenceError, match="of 400 modes around 1 shift") as caught:
+        sk.eigensolve(uneven, 400, sk.Arpack(max_restarts=1))
+    partial = caught.value.partial
+    assert 40 < partial.k < 400
+    expected = exact.eigenvalues[: partial.k]
+    assert partial.eigenvalues == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("tol", [1e-7, 1e-2])
+def test_a_tolerance_is_kept_and_all_modes_are_orthonormal(uneven, exact, tol) -> None:
+    loose = sk.eigensolve(uneven, 500, sk.Arpack(tol=tol))
+    assert loose.certificate.relative_residuals.max() < 1e-4
+    assert loose.certificate.orthonormality_error < 1e-11
+    expected = exact.eigenvalues[:500]
+    assert loose.eigenvalues == pytest.approx(expected, rel=1e-8, abs=1e-8)
+
+
+def test_where_two_runs_are_put_together() -> None:
+    known = np.array([1.0, 2.0, 3.0, 3.0 + 1e-9])
+    assert _cut(known, np.array([3.0, 3.0 + 1e-9, 4.0]), 5, 1e-6) == 2  # not within the cluster
+    assert _cut(known, np.array([4.0]), 5, 1e-6) == 4
+    assert _cut(known, np.array([5.0]), 6, 1e-6) is None  # one is still to be found
+    assert _cut(known[:3], np.array([3.0 + 1e-9]), 4, 1e-6) is None  # a cluster from both
+    assert (
+        _cut(known, np.array([2.0, 3.0, 4.0]), 5, 1e-6) == 4
+    )  # only the lower run has both copies
+    assert _cut(known[:3], np.array([3.0, 4.0]), 5, 1e-6) is None  # neither has
+    assert _cut(known[:0], known, 4, 1.0) == 0
+    assert _cut(known[:0], known[1:], 4, 0.0) is None
+
+
+@pytest.mark.parametrize("most", [10, 20, 24])
+def test_a_space_has_whole_steps_and_no_more_vectors_than_there_are(most: int) -> None:
+    of = partial(BlockLanczos, np.copy, 20, block=4, seed=0)
+    refused("most", "be a multiple of 4, and at most 16", of, most=most)
+
+
+def test_a_space_that_becomes_invariant_still_grows() -> None:
+    values = np.repeat([1.0, 2.0, 5.0, 9.0], 50)
+    krylov = BlockLanczos(lambda X: values[:, None] * X, 200, block=4, most=120, seed=0)
+    while krylov.size < 120:
+        krylov.step()
+    found = krylov.ritz()
+    X = krylov.lifted(found.rotation)
+    assert np.abs(X @ X.T - np.eye(120)).max() < 1e-12
+    assert np.abs(X * values - found.values[:, None] * X).max() < 1e-10 + found.residuals.max()
