@@ -22,28 +22,16 @@ PURPOSE = {
     "errors": ("base", "what is raised"),
     "catalogue": ("base", "all names"),
     "geometry": ("input", "meshes, clouds, files,\nrepair, sampling"),
-    "linalg": ("base", "factors, iterations,\ncoarse spaces"),
     "operators": ("input", "Laplacian: L, M"),
-    "subspaces": ("solve", "plane waves,\ngiven columns"),
-    "levels": ("solve", "coarse operators"),
-    "spectra": ("solve", "Spectrum and its\ncertificate"),
-    "neo": ("solve", "the network and\nits weights"),
-    "eigensolvers": ("solve", "eigensolve, verify,\nall solvers"),
-    "metrics": ("study", "spectra compared"),
-    "interop": ("use", "to and from\nother toolkits"),
-    "descriptors": ("use", "signatures,\nspectral distances"),
-    "differentiable": ("use", "gradients of\neigenvalues"),
-    "embeddings": ("use", "numbers to learn\nand search by"),
-    "learning": ("use", "labels of shapes\nand of their points"),
-    "functional_maps": ("use", "fit, ZoomOut,\nconversions"),
+    "eigen": ("solve", "eigensolve, verify,\nSpectrum, solvers"),
+    "neo": ("solve", "the network, its weights,\nand its training"),
+    "features": ("use", "signatures, distances,\nembeddings"),
     "geodesics": ("use", "heat method,\nexact distances"),
-    "correspondence": ("study", "errors and quality\nof maps"),
-    "matching": ("use", "a map that\nis not flipped"),
-    "store": ("use", "each spectrum once,\nin a folder"),
-    "batch": ("use", "many shapes,\nmany workers"),
-    "training": ("study", "corpus, losses,\nthe loop"),
-    "viz": ("see", "pictures and\nanimations"),
-    "explorer": ("see", "a page to turn\nand click"),
+    "maps": ("use", "match, functional maps,\nhow good a map is"),
+    "datasets": ("use", "a store, many shapes,\nmany workers"),
+    "interop": ("use", "to and from\nother toolkits"),
+    "learn": ("use", "labels of shapes\nand of their points"),
+    "show": ("see", "pictures, animations,\na page to turn"),
     "cli": ("see", "spectra-kit"),
 }
 #: The way of the data: what it is at each stage, and the call that takes it to the next.
@@ -61,7 +49,6 @@ LABELS = {
     "solve": "operator to spectrum",
     "use": "what spectra are for",
     "see": "see it",
-    "study": "measure and train",
 }
 # Okabe and Ito's colours, mixed with white so that black text reads well on them.
 COLOURS = {
@@ -70,7 +57,6 @@ COLOURS = {
     "solve": "#f8d899",
     "use": "#b0dfce",
     "see": "#efcade",
-    "study": "#f6f0b4",
 }
 _WIDTH, _HEIGHT, _GAP = 1.8, 0.68, 0.17
 

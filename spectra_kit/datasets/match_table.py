@@ -44,7 +44,8 @@ def write_match_table(path: str | os.PathLike[str], report: BatchReport[Pair, Ma
     >>> from pathlib import Path
     >>> import spectra_kit as sk
     >>> path = Path(tempfile.mkdtemp()) / "maps.csv"
-    >>> sk.datasets.write_match_table(path, sk.datasets.BatchReport(completed=(), failed=(), seconds=0.0))
+    >>> nothing = sk.datasets.BatchReport(completed=(), failed=(), seconds=0.0)
+    >>> sk.datasets.write_match_table(path, nothing)
     >>> path.read_text().split(",")[:3]
     ['source', 'target', 'score']
     """

@@ -187,7 +187,8 @@ def compute_all(
     >>> folder = Path(tempfile.mkdtemp())
     >>> sk.geometry.write(sk.geometry.creature(600), folder / "animal.off")
     >>> _ = (folder / "empty.off").write_text("")
-    >>> inputs, store = sk.datasets.find_inputs([folder]), sk.datasets.SpectrumStore(folder / "store")
+    >>> inputs = sk.datasets.find_inputs([folder])
+    >>> store = sk.datasets.SpectrumStore(folder / "store")
     >>> report = sk.datasets.compute_all(inputs, store, sk.datasets.Plan(k=12))
     >>> report.computed, [str(failed.error).split(": ")[-1] for failed in report.failed]
     (1, ['the file is empty'])

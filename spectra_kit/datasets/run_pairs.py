@@ -116,7 +116,8 @@ def match_all(
     >>> sk.geometry.write(sk.geometry.mirrored(animal), folder / "image.off")
     >>> store, plan = sk.datasets.SpectrumStore(folder / "store"), sk.datasets.Plan(k=60)
     >>> inputs = [
-    ...     sk.datasets.Input(name=name, path=folder / f"{name}.off") for name in ("animal", "image")
+    ...     sk.datasets.Input(name=name, path=folder / f"{name}.off")
+    ...     for name in ("animal", "image")
     ... ]
     >>> _ = sk.datasets.compute_all(inputs, store, plan)
     >>> report = sk.datasets.match_all(store, sk.datasets.find_pairs("all", store))

@@ -56,7 +56,8 @@ def write_table(path: str | os.PathLike[str], report: BatchReport[Input, Complet
     >>> import spectra_kit as sk
     >>> folder = Path(tempfile.mkdtemp())
     >>> sk.geometry.write(sk.geometry.creature(600), folder / "animal.off")
-    >>> inputs, store = sk.datasets.find_inputs([folder]), sk.datasets.SpectrumStore(folder / "store")
+    >>> inputs = sk.datasets.find_inputs([folder])
+    >>> store = sk.datasets.SpectrumStore(folder / "store")
     >>> report = sk.datasets.compute_all(inputs, store, sk.datasets.Plan(k=3))
     >>> sk.datasets.write_table(folder / "table.csv", report)
     >>> (folder / "table.csv").read_text().splitlines()[0].split(",")[-2:]

@@ -28,7 +28,8 @@ class Smoother:
     """Chebyshev steps of ``(L - lambda_j M) c = -r_j`` for errors of the modes of B surfaces.
 
     An error e of mode j has the residual ``(L - lambda_j M) e``, to which the mode adds nothing, so
-    after the steps of `eigen.multigrid.smoothing` it is ``p(D^-1 (L - lambda_j M)) e`` with their polynomial
+    after the steps of `eigen.multigrid.smoothing` it is ``p(D^-1 (L - lambda_j M)) e`` with their
+    polynomial
     p and preconditioner D. Exact modes stay exact. Made by `of`.
 
     Attributes

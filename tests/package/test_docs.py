@@ -15,8 +15,9 @@ from types import ModuleType
 import pytest
 
 import spectra_kit
-from spectra_kit import explorer, show
+from spectra_kit import show
 from spectra_kit.cli.program import parse
+from spectra_kit.show import explorer
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

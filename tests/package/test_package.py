@@ -13,8 +13,8 @@ import pytest
 from conftest import bumpy
 
 import spectra_kit as sk
-from spectra_kit import metrics
 from spectra_kit._core.version import VERSION
+from spectra_kit.eigen import metrics
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import components, normalize, repair, sample_with_origin, sphere
 from spectra_kit.interop import to_pyvista

@@ -46,7 +46,7 @@ from spectra_kit._core.checked import _LATE
 from spectra_kit.errors import InvalidInputError, SpectraKitError
 
 # Their arrays are checked by whom they serve; the command line has its own tests.
-INNER = re.compile("_|catalogue|cli|errors|levels|linalg|training")
+INNER = re.compile("_|catalogue|cli|errors")
 PACKAGES = [name for _, name, _ in pkgutil.iter_modules(sk.__path__) if not INNER.match(name)]
 # Tensors are torch's to check, where a compiler has to see through every line.
 LEFT_TO_TORCH = {"NeoNetwork.forward", "NeoNetwork.features", "NeoNetwork.evaluate_chunked"}
@@ -174,7 +174,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         **{"ambiguous": False, "convincing": True},
         **{"doubts": (), "computed": True, "replaced": (), "seconds": 0.1},
     )
-    maps = datasets.BatchReport(completed=((pair_of_names, made),), failed=(), seconds=0.1)
+    of_pairs = datasets.BatchReport(completed=((pair_of_names, made),), failed=(), seconds=0.1)
     portrait = show.Portrait(geometry=mesh, labels=halves, lines=("x",))
     quick = maps.MatchOptions(
         **{"orders": 1, "growing": 8, "kept": ((8, 2),), "turns": 1, "placed": 1},
@@ -316,7 +316,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("arrays", {"point_map": same}),
         ("Pair.source Pair.target", "mesh.obj"),
         ("load_match.key SpectrumStore.load_map.key SpectrumStore.has_map.key", "0" * 32),
-        ("write_match_table.report", maps),
+        ("write_match_table.report", of_pairs),
         ("complete.file", "mesh.obj"),
         ("SpectrumStore.descriptor.name SpectrumStore.descriptor_key.name", "dna"),
         ("SpectrumStore.entries.kind", "shapes"),
