@@ -58,10 +58,6 @@ def exact_distances(
 
     Raises
     ------
-    InvalidInputError
-        If `mesh` is a cloud or has faces that name a vertex twice, there is no source, one is out
-        of range, at a vertex that no face uses or inside a face, a target is out of range, or a
-        distance is.
     ConvergenceError
         If paths would go round and round triangles that are extremely thin; `partial` then holds
         distances that may be too long.

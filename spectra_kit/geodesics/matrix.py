@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.threads import ranges
-from spectra_kit._core.validate import check_count, hearing, warn
+from spectra_kit._core.validate import check_count
+from spectra_kit._core.warn import hearing, warn
 from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.heat import HeatGeodesics, solved_together
 from spectra_kit.geodesics.sources import SourcesLike, check_sources
@@ -62,9 +63,6 @@ def distance_matrix(
 
     Raises
     ------
-    InvalidInputError
-        If a source is refused, `out` is of another shape or type, `symmetric` is asked of some
-        sources, or `start` is beyond the sources, or given without `out`.
     ConvergenceError
         As from `HeatGeodesics.distance`; the rows before are in `out`.
 

@@ -49,11 +49,6 @@ def creature(n_points: int = 8000, *, seed: int = 0, pose: int = 0) -> TriangleM
         About 2.5 long, head towards +x, up +z, faces oriented outwards. No symmetry, so its low
         eigenvalues are simple.
 
-    Raises
-    ------
-    InvalidInputError
-        If `n_points` is below 500, or `seed` or `pose` is negative.
-
     Notes
     -----
     Vertices lie on the zero set of a smooth union of tapered capsules and ellipsoids. Marching

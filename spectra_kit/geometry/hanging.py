@@ -20,19 +20,8 @@ _INSIDE = 1 - 1e-6  # of half an edge, around its middle: there are its ends not
 def points_inside(points: Floats, edges: Ints, reach: Floats) -> tuple[Ints, Ints]:
     """Return the edges that others of their ends lie inside of, and these points.
 
-    Parameters
-    ----------
-    points : ndarray of shape (n, 3)
-        Each place once.
-    edges : ndarray of shape (e, 2)
-        Boundary edges, by the places of their ends.
-    reach : ndarray of shape (n,)
-        How far off an edge a point may lie.
-
-    Returns
-    -------
-    tuple of ndarray of shape (h,)
-        Numbers of edges, and of places.
+    Numbers of both, (h,). Boundary edges (e, 2) are given by the places (n, 3) of their ends, each
+    of which is there once; `reach` (n,) is how far off an edge each may lie.
     """
     unit = box_unit(points)
     points, reach = points / unit, reach / unit
@@ -56,12 +45,8 @@ def points_inside(points: Floats, edges: Ints, reach: Floats) -> tuple[Ints, Int
 def lying_on(edges: Ints, e: Ints, p: Ints) -> tuple[Ints, Ints]:
     """Return which edges lie on which, in part, of edges `e` with points `p` inside.
 
-    An edge f of p goes on along e where its other end is on e too, or an end of e is inside f.
-
-    Returns
-    -------
-    tuple of ndarray of shape (m,)
-        Numbers of pairs of e and p, and for each an edge that goes on from p along e.
+    An edge f of p goes on along e where its other end is on e too, or an end of e is inside f. So
+    numbers of pairs of e and p, and for each an edge that goes on from p along e: (m,) both.
     """
     flat = np.argsort(edges, axis=None, kind="stable")
     ends = edges.ravel()[flat]

@@ -9,7 +9,8 @@ from typing import Any, Literal, TypeVar
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.files import atomic_path
-from spectra_kit._core.validate import hearing, quantity, warn
+from spectra_kit._core.validate import quantity
+from spectra_kit._core.warn import hearing, warn
 from spectra_kit.errors import (
     IgnoredContentWarning,
     InvalidFileError,
@@ -190,8 +191,6 @@ def write(geometry: Geometry, path: str | os.PathLike[str]) -> None:
     ------
     InvalidFileError
         If the format is unknown or cannot hold the geometry.
-    InvalidInputError
-        If `geometry` is neither, or the folder does not exist.
 
     Notes
     -----

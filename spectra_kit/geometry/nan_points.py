@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._core.records import frozen
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import as_array, check_faces, check_indices, check_points, frozen
+from spectra_kit._core.validate import as_array, check_faces, check_indices, check_points
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.io import content_of
 from spectra_kit.geometry.polygons import Polygons, surface
@@ -33,11 +34,6 @@ def without_nan(points: Any, faces: Any = None) -> Repaired:
     Repaired
         The geometry, with the index arrays that lead from its points to the rows of `points` and
         back: ``restore`` carries values over, NaN where there was no point.
-
-    Raises
-    ------
-    InvalidInputError
-        If no point or no face is left, or as from `read`, `PointCloud` and `TriangleMesh`.
 
     Examples
     --------

@@ -31,11 +31,6 @@ def estimate_normals(cloud: PointCloud, *, n_neighbors: int = 12) -> Floats:
     ndarray of shape (n, 3)
         Unit vectors, each with one of its two signs; see `orient_normals`.
 
-    Raises
-    ------
-    InvalidInputError
-        If `cloud` is no cloud, or has fewer than three points.
-
     Examples
     --------
     >>> import numpy as np
@@ -71,11 +66,6 @@ def orient_normals(cloud: PointCloud, normals: ArrayLike, *, n_neighbors: int = 
     ndarray of shape (n, 3)
         `normals` times 1 or -1. Each component of the neighbour graph is turned outwards on its
         own; on an open sheet, away from its centroid.
-
-    Raises
-    ------
-    InvalidInputError
-        If `cloud` is no cloud, has fewer than three points, or `normals` are not its unit normals.
 
     Notes
     -----

@@ -8,8 +8,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import frozen
 from spectra_kit._core.types import Ints
-from spectra_kit._core.validate import check_count, frozen
+from spectra_kit._core.validate import check_count
 from spectra_kit.geometry.creature import creature
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
 
@@ -45,11 +46,6 @@ def creature_pair(
     point_map : ndarray of shape (n2,)
         The source vertex of each target vertex: exact for equal triangles, else the nearest on the
         animal at rest.
-
-    Raises
-    ------
-    InvalidInputError
-        As `creature`.
 
     Examples
     --------
@@ -91,11 +87,6 @@ def permuted(geometry: Kind, *, seed: int = 0) -> tuple[Kind, Ints]:
         The source point that each point of the copy is: ``copy.points`` equals
         ``geometry.points[point_map]``.
 
-    Raises
-    ------
-    InvalidInputError
-        If `geometry` is neither, or `seed` is negative.
-
     Examples
     --------
     >>> from spectra_kit.geometry import creature, permuted
@@ -128,11 +119,6 @@ def mirrored(geometry: Kind, *, axis: int = 0) -> Kind:
     TriangleMesh or PointCloud
         Isometric to `geometry`, of the opposite orientation. Faces are turned over, so that those
         which looked outwards still do.
-
-    Raises
-    ------
-    InvalidInputError
-        If `geometry` is neither, or `axis` is not 0, 1 or 2.
 
     Examples
     --------

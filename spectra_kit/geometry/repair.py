@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Brief, frozen
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import Brief, frozen, real_array
+from spectra_kit._core.validate import real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.hanging import divided
 from spectra_kit.geometry.seams import joined, seams
@@ -76,24 +77,9 @@ class Repaired(Brief):
     new_index: Ints
 
     def restore(self, values: ArrayLike, *, fill: float = np.nan) -> Floats:
-        """Carry a function of the cleaned geometry back to the original points.
+        """Carry a function of the cleaned geometry, (n,) or (n, d), back to the original points.
 
-        Parameters
-        ----------
-        values : array_like of shape (n,) or (n, d)
-            One number or row for each point of the cleaned geometry.
-        fill : float, default nan
-            What removed points get.
-
-        Returns
-        -------
-        ndarray of shape (n_original,) or (n_original, d)
-            Merged points all get the value of their common point.
-
-        Raises
-        ------
-        InvalidInputError
-            If `values` has another number of rows.
+        Merged points all get the value of their common point, removed ones get `fill`.
         """
         array = real_array("values", values)
         if array.shape[:1] != (self.geometry.n,):
@@ -134,11 +120,6 @@ def repair(geometry: Geometry, *, merge: bool = True, tolerance: float | None = 
     Repaired
         The copy, what was removed, and index arrays in both directions. Points stay at the place of
         the earliest of those that were joined: none is moved farther than the tolerance.
-
-    Raises
-    ------
-    InvalidInputError
-        If no face of a mesh has any area, or `tolerance` is negative.
 
     Notes
     -----

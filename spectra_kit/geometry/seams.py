@@ -15,7 +15,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import quantity, warn
+from spectra_kit._core.validate import quantity
+from spectra_kit._core.warn import warn
 from spectra_kit.errors import SplitSurfaceWarning
 from spectra_kit.geometry.hanging import divided, lying_on, points_inside
 from spectra_kit.geometry.shapes import TriangleMesh, distinct_rows

@@ -14,9 +14,9 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.records import draw, drawn
+from spectra_kit._core.records import Rebuilt, draw, drawn, frozen
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import Rebuilt, check_faces, check_points, frozen
+from spectra_kit._core.validate import check_faces, check_points
 from spectra_kit.errors import InvalidInputError
 
 _BLOCK = 1 << 16
@@ -55,11 +55,6 @@ class PointCloud(_Shape):
     points : array_like of shape (n, 3)
         Coordinates, in any unit of length.
 
-    Raises
-    ------
-    InvalidInputError
-        If `points` is empty, has another shape, or holds NaN or infinite values.
-
     Examples
     --------
     >>> from spectra_kit import PointCloud
@@ -84,38 +79,13 @@ class PointCloud(_Shape):
         return len(self.points)
 
     def with_points(self, points: Floats) -> PointCloud:
-        """Return the same cloud at other coordinates.
-
-        Parameters
-        ----------
-        points : ndarray of shape (n, 3)
-            In length.
-
-        Returns
-        -------
-        PointCloud
-
-        Raises
-        ------
-        InvalidInputError
-            As from `PointCloud` itself.
-
-        Examples
-        --------
-        >>> from spectra_kit.geometry import PointCloud
-        >>> cloud = PointCloud([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
-        >>> cloud.with_points(2 * cloud.points).points[1]
-        array([2., 0., 0.])
-        """
+        """Return the same cloud at other coordinates, of shape (n, 3)."""
         return PointCloud(points)
 
     def without_duplicates(self) -> PointCloud:
         """Return the cloud with each distinct point kept once, at its first place.
 
-        Returns
-        -------
-        PointCloud
-            At most n points, in their original order. Only exactly equal coordinates count.
+        Only exactly equal coordinates count.
         """
         first, _ = distinct_rows(self.points)
         return PointCloud(self.points[first])
@@ -136,11 +106,6 @@ class TriangleMesh(_Shape):
         Vertex coordinates, in any unit of length.
     faces : array_like of shape (f, 3)
         Vertex indices of each triangle, counted from 0.
-
-    Raises
-    ------
-    InvalidInputError
-        If an array is empty, has another shape or dtype, or an index is out of range.
 
     Examples
     --------
@@ -213,29 +178,7 @@ class TriangleMesh(_Shape):
         return frozen(connected_components(graph, directed=False)[1].astype(np.int64))
 
     def with_points(self, points: Floats) -> TriangleMesh:
-        """Return the same connectivity at other coordinates.
-
-        Parameters
-        ----------
-        points : ndarray of shape (n, 3)
-            In length.
-
-        Returns
-        -------
-        TriangleMesh
-
-        Raises
-        ------
-        InvalidInputError
-            As from `TriangleMesh` itself.
-
-        Examples
-        --------
-        >>> from spectra_kit.geometry import TriangleMesh
-        >>> mesh = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
-        >>> mesh.with_points(2 * mesh.points).area
-        2.0
-        """
+        """Return the same connectivity at other coordinates, of shape (n, 3)."""
         return TriangleMesh(points, self.faces)
 
     def as_cloud(self) -> PointCloud:
@@ -250,15 +193,7 @@ class TriangleMesh(_Shape):
     def without_degenerate_faces(self, *, relative_area: float = 1e-12) -> TriangleMesh:
         """Return the mesh without faces of repeated vertices or (near) zero area.
 
-        Parameters
-        ----------
-        relative_area : float, default 1e-12
-            Faces of area <= relative_area * (longest side)^2 go as well.
-
-        Returns
-        -------
-        TriangleMesh
-            The vertices are untouched; some may have become unreferenced.
+        Faces of area <= relative_area * (longest side)^2 go. Vertices stay, some without a face.
         """
         return TriangleMesh(self.points, self.faces[~self.degenerate_faces(relative_area)])
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
 from spectra_kit._core.threads import in_threads, ranges
-from spectra_kit._core.types import Bools, Floats
+from spectra_kit._core.types import Bools, Floats, Ints, Ints32
 from spectra_kit._core.validate import quantity
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh, distinct_rows
@@ -29,9 +28,6 @@ from spectra_kit.operators.checks import mean_edges, unit_of, units_of
 from spectra_kit.operators.local_delaunay import local_triangles
 from spectra_kit.operators.triangle_calculus import areas
 
-Ints = NDArray[np.int32]
-Longs = NDArray[np.int64]
-
 _BLOCK = 16_384  # points of one task: fixed, so that nothing depends on the number of threads
 # Of a half-edge, before giving up. Clouds need 0.14 at most, but n slivers that fan out from one
 # point, as in flat parts of technical models, n / 32.
@@ -46,10 +42,10 @@ _WIDE = 1.5
 class Glued(NamedTuple):
     """A surface on which each triangle is there `copies` times; the Laplacian is of one."""
 
-    corners: Ints
+    corners: Ints32
     lengths: Floats
     copies: int
-    boundary: Longs
+    boundary: Ints
     stiffness: sparse.csr_array
     mass: Floats
 
@@ -67,7 +63,9 @@ def glued_mesh(mesh: TriangleMesh, mollify_factor: float) -> Glued:
     return Glued(corners, lengths, copies, boundary, stiffness, mass * unit**2)
 
 
-def glued_faces(points: Floats, corners: Ints, lengths: Floats) -> tuple[Ints, Floats, Ints, int]:
+def glued_faces(
+    points: Floats, corners: Ints32, lengths: Floats
+) -> tuple[Ints32, Floats, Ints32, int]:
     """Glue the faces of a mesh (f, 3) to a surface without boundary.
 
     Return corners, lengths and twins of its triangles, and how often each face is there: once, or
@@ -82,12 +80,12 @@ def glued_faces(points: Floats, corners: Ints, lengths: Floats) -> tuple[Ints, F
 
 def tufted_delaunay(
     mesh: TriangleMesh, sides: Floats
-) -> tuple[Ints, Floats, Ints, tuple[Ints, Floats]]:
+) -> tuple[Ints32, Floats, Ints32, tuple[Ints32, Floats]]:
     """Find the triangles of the library robust_laplacian: a front and a back of each face, flipped.
 
     Return their corners, lengths and twins, and the flips as `undo_flips` takes them back.
     """
-    faces: Ints = mesh.faces.astype(np.int32)
+    faces: Ints32 = mesh.faces.astype(np.int32)
     edge = distinct_rows(mesh.edges)[1]
     starts = np.append(0, np.cumsum(np.bincount(edge)))
     twins, leads = np.empty(2 * len(edge), np.int32), np.empty(len(edge), np.int32)
@@ -138,12 +136,12 @@ def glued_cloud(cloud: PointCloud, mollify_factor: float, n_neighbors: int) -> G
 
 def _front_and_back(
     points: Floats,
-    triangles: Ints,
+    triangles: Ints32,
     lengths: Floats,
-    sides: tuple[Ints, Ints, Ints],
+    sides: tuple[Ints32, Ints32, Ints32],
     *,
     sharpest: float,
-) -> tuple[Ints, Floats, Ints]:
+) -> tuple[Ints32, Floats, Ints32]:
     """Return corners and lengths of both faces of each triangle, shape (2 t, 3), and the twins.
 
     Triangles continue each other only if the cosine of the angle between them is below `sharpest`.
@@ -155,12 +153,12 @@ def _front_and_back(
 
 
 def make_delaunay(
-    corners: Ints,
+    corners: Ints32,
     lengths: Floats,
-    twins: Ints,
+    twins: Ints32,
     *,
     recorded: bool = False,
-) -> tuple[Ints, Floats]:
+) -> tuple[Ints32, Floats]:
     """Flip edges, in place, until the angles opposite each sum to at most pi.
 
     Return the flips, as `undo_flips` takes them back.
@@ -182,7 +180,7 @@ def _check_ended(ended: bool, most: int) -> None:
 
 
 def laplacian_of(
-    corners: Ints, lengths: Floats, twins: Ints, n: int, copies: int
+    corners: Ints32, lengths: Floats, twins: Ints32, n: int, copies: int
 ) -> tuple[sparse.csr_array, Floats]:
     """Return stiffness and lumped mass of one copy of the surface."""
     ends, columns, entries, mass = cotangent_laplacian(
@@ -200,7 +198,7 @@ def laplacian_of(
     return stiffness, mass / copies
 
 
-def _is_boundary(triangles: Ints, lengths: Floats, closed: Bools, reach: Floats) -> Bools:
+def _is_boundary(triangles: Ints32, lengths: Floats, closed: Bools, reach: Floats) -> Bools:
     """Mark points whose star is open, or has a triangle far too large for the points around it.
 
     Such triangles fill the bays of a sampled boundary.

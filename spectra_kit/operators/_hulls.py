@@ -9,9 +9,9 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from spectra_kit._core.compiled import compiled
+from spectra_kit._core.types import Ints32
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 Bools = NDArray[np.bool_]
 
 _STRAIGHT = 1e-5  # radians: a gap that close to pi is a boundary, as in robust_laplacian
@@ -19,7 +19,7 @@ _PARALLEL = 1e-12  # radians: directions that differ by less are the same, but f
 
 
 @compiled()
-def hulls(x: Floats, y: Floats, names: Ints, links: Ints, sizes: Ints, closed: Bools) -> None:
+def hulls(x: Floats, y: Floats, names: Ints32, links: Ints32, sizes: Ints32, closed: Bools) -> None:
     """Write the names (p, k) of the corners of each hull of k points, counter-clockwise.
 
     To `links` (p, k), their number to `sizes` (p,), 0 where it is below two, and to `closed` (p,)

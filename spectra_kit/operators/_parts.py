@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import warn
+from spectra_kit._core.warn import warn
 from spectra_kit.errors import SplitSurfaceWarning
 from spectra_kit.operators.laplacian import Laplacian
 

@@ -57,11 +57,6 @@ def laplacian(
     Laplacian
         With mass in the squared length unit of `geometry`.
 
-    Raises
-    ------
-    InvalidInputError
-        As of the operators; if there is no boundary to hold, or no mesh for cotangents.
-
     Examples
     --------
     >>> import spectra_kit as sk
@@ -106,10 +101,6 @@ def robust_laplacian(
 
     Raises
     ------
-    InvalidInputError
-        If a vertex belongs to no face, a face repeats a vertex, or the extent of `geometry` or of
-        a component is so large or small that areas are no numbers; and for clouds as
-        `delaunay_laplacian`.
     OutOfMemoryError
         If there is no room for what the library takes, 3 kB for each face of a mesh.
         `delaunay_laplacian` takes a seventh.
@@ -186,11 +177,6 @@ def delaunay_laplacian(
         Neumann; edge weights are not negative beyond rounding; mass in the squared length unit
         of `geometry`. The same bits whatever the number of threads.
 
-    Raises
-    ------
-    InvalidInputError, ConvergenceError
-        As `intrinsic_delaunay`, whose Laplacian this is.
-
     Examples
     --------
     >>> from spectra_kit import delaunay_laplacian
@@ -220,11 +206,6 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
     -------
     Laplacian
         Neumann, positive semi-definite (libigl's matrix with its sign turned).
-
-    Raises
-    ------
-    InvalidInputError
-        If `mesh` is a cloud, a vertex belongs to no face, or a face is degenerate or duplicated.
 
     References
     ----------
@@ -286,11 +267,6 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     Laplacian
         ``L = D - K`` with mass ``D`` (row sums of K): **dimensionless**, its eigenvalues are in
         [0, 2] whatever the unit of length.
-
-    Raises
-    ------
-    InvalidInputError
-        If there are not more points than `n_neighbors`, or points coincide.
 
     Warns
     -----

@@ -13,17 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Rebuilt, frozen
 from spectra_kit._core.types import Bools, Floats, Ints
-from spectra_kit._core.validate import (
-    Rebuilt,
-    check_count,
-    check_faces,
-    check_mass,
-    frozen,
-    quantity,
-    real_array,
-    warn,
-)
+from spectra_kit._core.validate import check_count, check_faces, check_mass, quantity, real_array
+from spectra_kit._core.warn import warn
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.geometry.winding import (
@@ -63,12 +56,6 @@ class OrientedTriangles(Rebuilt):
         Share of the triangles that agree on the side: of a mesh, with all their neighbours, 1
         unless some cannot be turned so; of a cloud, with the windings that their corners see, a
         sign of how far its orientation can be trusted.
-
-    Raises
-    ------
-    InvalidInputError
-        If shapes disagree, an index is out of range, a weight is not positive or an
-        area is negative.
 
     Examples
     --------
@@ -130,12 +117,6 @@ def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> Oriented
         Of a cloud, the triangles of its local Delaunay triangulations, each counted a third, as a
         good one is found by all its three corners. Each component is turned to enclose a positive
         volume, seen from its centroid, which an open sheet that is nearly flat does not decide.
-
-    Raises
-    ------
-    InvalidInputError
-        If a vertex of a mesh has no face or a face names one twice; if a cloud has fewer than four
-        points, duplicates, or lies on a line.
 
     Notes
     -----
@@ -227,11 +208,6 @@ def area_form(oriented: OrientedTriangles, functions: ArrayLike) -> Floats:
         the unit of length does not enter. Antisymmetric in b and c; on a closed surface
         changes sign with every swap of two indices.
 
-    Raises
-    ------
-    InvalidInputError
-        If `functions` has another shape or is not finite.
-
     Notes
     -----
     Exact for piecewise linear functions: a triangle (i, j, k) contributes the mean of f_a times
@@ -283,11 +259,6 @@ def orientation_operator(
     ndarray of shape (p, k, k)
         ``O[p, i, j]``, scale-free in the metric; antisymmetric in i and j on a closed surface.
 
-    Raises
-    ------
-    InvalidInputError
-        If an array has another shape or is not finite.
-
     Notes
     -----
     The operator ``g -> n . (grad f x grad g)`` in the basis, which commutes with maps that keep
@@ -333,11 +304,6 @@ def skew(oriented: OrientedTriangles, f: ArrayLike, g: ArrayLike) -> Floats:
     ndarray of shape (n,) or (n, p)
         In the units of f and g over length^2: the integral of ``df ^ dg`` over the triangles around
         a point, divided by their area; 0 where that is 0.
-
-    Raises
-    ------
-    InvalidInputError
-        If an array has another shape or is not finite.
 
     Examples
     --------

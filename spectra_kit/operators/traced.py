@@ -39,25 +39,6 @@ class TracedLaplacian:
     """The Laplacian of a mesh, its triangles, and the way back from their sides to the points.
 
     Lengths are in a `unit`, a power of two, in which nothing overflows.
-
-    Attributes
-    ----------
-    laplacian : Laplacian
-        As the operator returns it, on n points.
-    mesh : TriangleMesh
-        In this unit, with f faces.
-    unit : float
-        In that of the points.
-    corners : ndarray of shape (t, 3)
-        Of the triangles over which L and M are sums.
-    lengths : ndarray of shape (t, 3)
-        ``lengths[:, c]`` is the side from corner c to corner c + 1.
-    share : float
-        How much each triangle counts.
-    mass_slopes : callable
-        Derivatives of areas of the corners by the sides: see `triangle_calculus`.
-    to_faces : callable
-        Takes derivatives by `lengths` to those by the sides of the faces in space, shape (f, 3).
     """
 
     laplacian: Laplacian
@@ -70,19 +51,12 @@ class TracedLaplacian:
     to_faces: Pullback
 
     def gradient(self, eigenvalues: Floats, eigenvectors: Floats, weights: Floats) -> Floats:
-        """Return the derivative of ``sum_j weights_j eigenvalues_j`` by the points.
+        """Return the derivative (n, 3) of ``sum_j weights_j eigenvalues_j`` by the points.
 
-        Parameters
-        ----------
-        eigenvalues, weights : ndarray of shape (k,)
-            Equal weights within a cluster: of the modes of one, only the sum has a derivative.
-        eigenvectors : ndarray of shape (n, k)
-            M-orthonormal; zero where points are fixed.
+        In 1/length^3.
 
-        Returns
-        -------
-        ndarray of shape (n, 3)
-            In 1/length^3.
+        Weights (k,) are equal within a cluster: of the modes of one, only the sum has a derivative.
+        Eigenvectors (n, k) are M-orthonormal, and zero where points are fixed.
         """
         heads = np.roll(self.corners, -1, axis=1)
         squares, lumped = np.zeros(self.corners.shape), np.zeros(self.mesh.n)
@@ -102,11 +76,8 @@ def traced(
 ) -> TracedLaplacian:
     """Return the `laplacian` of a mesh with its trace.
 
-    Raises
-    ------
-    InvalidInputError
-        As `laplacian`; if the ends of an edge coincide, where its length has no derivative; or if
-        the library robust_laplacian has other triangles than those found here.
+    Refused where the ends of an edge coincide, as its length has no derivative there, and where the
+    library robust_laplacian has other triangles than those found here.
     """
     built, unit = laplacian(mesh, operator=operator, boundary=boundary), unit_of(mesh)
     scaled = mesh.with_points(mesh.points / unit)
