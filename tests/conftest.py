@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 from collections import Counter
 from collections.abc import Callable
 from contextlib import contextmanager
@@ -16,6 +17,10 @@ from pathlib import Path
 if processes := os.environ.get("PYTEST_XDIST_WORKER_COUNT"):
     share = max(1, (os.cpu_count() or 1) // int(processes))
     os.environ.setdefault("OMP_NUM_THREADS", str(share))
+
+# Where a shell runs this in the background, Ctrl-C is ignored, as by all that tests would start.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 import numpy as np
 import pytest

@@ -15,7 +15,7 @@ from spectra_kit._core.validate import check_indices
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geodesics.sources import SourcesLike, check_sources
 from spectra_kit.geometry import TriangleMesh
-from spectra_kit.geometry.units import component_units
+from spectra_kit.geometry.shapes import component_units
 from spectra_kit.operators.checks import check_three_corners
 
 if TYPE_CHECKING:

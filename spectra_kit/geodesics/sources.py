@@ -15,7 +15,7 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count, check_indices, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh
-from spectra_kit.geometry.units import box_unit
+from spectra_kit.geometry.shapes import box_unit
 
 _FAR = 1e6  # times the largest coordinate of the points
 #: What rounding may do to barycentric coordinates.

@@ -12,8 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._core.checked import checked
 from spectra_kit.geometry.seams import seams
-from spectra_kit.geometry.shapes import Geometry, TriangleMesh, distinct_rows
-from spectra_kit.geometry.units import box_unit
+from spectra_kit.geometry.shapes import Geometry, TriangleMesh, box_unit, distinct_rows
 from spectra_kit.geometry.winding import wound_against
 
 

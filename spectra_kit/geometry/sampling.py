@@ -13,8 +13,7 @@ from spectra_kit._core.records import Brief, frozen
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count, check_points, check_positive, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
-from spectra_kit.geometry.units import box_unit
+from spectra_kit.geometry.shapes import PointCloud, TriangleMesh, box_unit
 
 _MOST = 2**48  # points; more than any memory holds, but their bytes can be counted
 

@@ -17,7 +17,6 @@ from spectra_kit.catalogue import OPERATORS
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry.seams import warn_of_seams
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.operators._parts import warn_of_near_parts
 from spectra_kit.operators.checks import (
     check_distinct,
     check_faces_usable,
@@ -25,6 +24,7 @@ from spectra_kit.operators.checks import (
     mean_edges,
     unit_of,
     units_of,
+    warn_of_near_parts,
 )
 from spectra_kit.operators.intrinsic import intrinsic_delaunay
 from spectra_kit.operators.laplacian import Laplacian, with_zero_sums

@@ -16,11 +16,11 @@ from spectra_kit._core.validate import check_indices, check_positive, quantity, 
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.seams import warn_of_seams
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.operators._parts import warn_of_near_parts
 from spectra_kit.operators.checks import (
     check_cloud_usable,
     check_faces_usable,
     check_mollify_factor,
+    warn_of_near_parts,
 )
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.operators.triangle_calculus import areas, divergences, gradients
@@ -217,26 +217,26 @@ def intrinsic_delaunay(
     >>> round(triangulation.area, 3), len(triangulation.boundary)
     (1.618, 36)
     """
-    from spectra_kit.operators._gluing import glued_cloud, glued_mesh  # numba is slow to import
+    from spectra_kit.operators._cover import cloud_cover, mesh_cover  # numba is slow to import
 
     clock = Clock()
     check_mollify_factor(mollify_factor)
     if isinstance(geometry, TriangleMesh):
         check_faces_usable(geometry)
         warn_of_seams(geometry)
-        glued = glued_mesh(geometry, mollify_factor)
+        cover = mesh_cover(geometry, mollify_factor)
         operator = f"delaunay_laplacian(mesh, mollify_factor={mollify_factor:g})"
     else:
         neighbors = check_cloud_usable(geometry, n_neighbors)
-        glued = glued_cloud(geometry, mollify_factor, neighbors)
+        cover = cloud_cover(geometry, mollify_factor, neighbors)
         operator = f"delaunay_laplacian(mollify_factor={mollify_factor:g}, n_neighbors={neighbors})"
     laplacian = Laplacian(
-        glued.stiffness, glued.mass, geometry.points, operator=operator, seconds=clock.total
+        cover.stiffness, cover.mass, geometry.points, operator=operator, seconds=clock.total
     )
     if not isinstance(geometry, TriangleMesh):
         warn_of_near_parts(laplacian, neighbors)
     return IntrinsicTriangulation(
-        glued.corners, glued.lengths, 1 / glued.copies, glued.boundary, laplacian
+        cover.corners, cover.lengths, 1 / cover.copies, cover.boundary, laplacian
     )
 
 

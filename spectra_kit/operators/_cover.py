@@ -1,4 +1,4 @@
-"""From triangles in space to a glued, flipped surface without boundary, and to its Laplacian."""
+"""From triangles in space to a cover without boundary, flipped to Delaunay, and its Laplacian."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ _CORNERS, _SIDES = [0, 1, 2, 0, 2, 1], [0, 1, 2, 2, 1, 0]  # of a front and its 
 _WIDE = 1.5
 
 
-class Glued(NamedTuple):
-    """A surface on which each triangle is there `copies` times; the Laplacian is of one."""
+class Cover(NamedTuple):
+    """A cover on which each triangle is there `copies` times; the Laplacian is of one."""
 
     corners: Ints32
     lengths: Floats
@@ -50,20 +50,20 @@ class Glued(NamedTuple):
     mass: Floats
 
 
-def glued_mesh(mesh: TriangleMesh, mollify_factor: float) -> Glued:
+def mesh_cover(mesh: TriangleMesh, mollify_factor: float) -> Cover:
     unit = units_of(mesh)
     points = mesh.points / unit[:, None]
     corners = mesh.faces.astype(np.int32)
     lengths = side_lengths(points, corners, mollify_factor)
-    corners, lengths, twins, copies = glued_faces(points, corners, lengths)
+    corners, lengths, twins, copies = cover_of_faces(points, corners, lengths)
     make_delaunay(corners, lengths, twins)
     stiffness, mass = laplacian_of(corners, lengths, twins, mesh.n, copies)
     lengths *= unit[corners[:, :1]]
     boundary = np.empty(0, dtype=np.int64) if copies == 1 else mesh.boundary_vertices
-    return Glued(corners, lengths, copies, boundary, stiffness, mass * unit**2)
+    return Cover(corners, lengths, copies, boundary, stiffness, mass * unit**2)
 
 
-def glued_faces(
+def cover_of_faces(
     points: Floats, corners: Ints32, lengths: Floats
 ) -> tuple[Ints32, Floats, Ints32, int]:
     """Glue the faces of a mesh (f, 3) to a surface without boundary.
@@ -108,7 +108,7 @@ def folded(slopes: Floats, copies: int) -> Floats:
     return np.asarray(front + back[:, ::-1])  # whose sides run the other way: see `_SIDES`
 
 
-def glued_cloud(cloud: PointCloud, mollify_factor: float, n_neighbors: int) -> Glued:
+def cloud_cover(cloud: PointCloud, mollify_factor: float, n_neighbors: int) -> Cover:
     # Neighbours in space become neighbours in memory; any unit of length becomes about 1.
     order = cKDTree(cloud.points).indices
     unit = unit_of(cloud)
@@ -131,7 +131,7 @@ def glued_cloud(cloud: PointCloud, mollify_factor: float, n_neighbors: int) -> G
             f" {int(np.argmin(mass))}), whose neighbours lie on one line",
             advice="remove such curves first",
         )
-    return Glued(corners, lengths * unit, copies, boundary, stiffness, mass * unit**2)
+    return Cover(corners, lengths * unit, copies, boundary, stiffness, mass * unit**2)
 
 
 def _front_and_back(
