@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Callable
+from typing import Any, Literal
 
 import igl
 import numpy as np
@@ -13,7 +14,6 @@ from scipy.spatial import cKDTree
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
 from spectra_kit._core.validate import check_count, quantity
-from spectra_kit.catalogue import OPERATORS
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry.seams import warn_of_seams
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
@@ -65,7 +65,7 @@ def laplacian(
     """
     if operator == "cotan" and not isinstance(geometry, TriangleMesh):
         raise InvalidInputError("operator", "be one for points", "cotan, which needs a mesh")
-    built: Laplacian = OPERATORS[operator or "robust"](geometry)
+    built = _BY_NAME[operator or "robust"](geometry)
     if boundary == "neumann":
         return built
     if not isinstance(geometry, TriangleMesh) or not len(geometry.boundary_vertices):
@@ -326,3 +326,11 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     )
     warn_of_near_parts(built, n_neighbors)
     return built
+
+
+_BY_NAME: dict[str, Callable[[Any], Laplacian]] = {
+    "robust": robust_laplacian,
+    "cotan": cotan_laplacian,
+    "knn": knn_laplacian,
+    "delaunay": delaunay_laplacian,
+}

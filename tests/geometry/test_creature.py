@@ -1,4 +1,4 @@
-"""The demo animal, the implicit surfaces that it is made of, and pairs: bent, mirrored, permuted."""
+"""The demo animal, the implicit surfaces it is made of, and pairs: bent, mirrored, permuted."""
 
 import numpy as np
 import pytest
