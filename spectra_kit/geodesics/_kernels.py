@@ -14,9 +14,7 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from spectra_kit._core.compiled import compiled
-from spectra_kit._core.types import Indices
-
-Floats = NDArray[np.float64]
+from spectra_kit._core.types import Floats, Indices
 
 _MOST = 1023
 _POWERS = 2.0 ** np.arange(-1074.0, _MOST + 1)  # a look-up is quicker than `ldexp`

@@ -23,13 +23,12 @@ from spectra_kit._sparse.grounded import GroundedCholesky
 from spectra_kit._sparse.solution import LinearSolution
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import ConvergenceError, DoubtfulDistanceWarning, InvalidInputError
-from spectra_kit.geodesics.exact import exact_distances
+from spectra_kit.geodesics.exact import EXACT, exact_field, exact_or_none
 from spectra_kit.geodesics.heat_step import Heat, HeatStep
 from spectra_kit.geodesics.result import DistanceField
 from spectra_kit.geodesics.solvers import (
     Automatic,
     Direct,
-    Exact,
     Iterative,
     IterativePoisson,
     Solver,
@@ -45,10 +44,6 @@ Boundary = Literal["neumann", "dirichlet", "average"]
 # Share of the points nearer to a source than sqrt(t) that deserves a warning, and how many of them
 # are few for each source.
 _BLURRED, _NEAR = 0.25, 20
-# Vertices up to which exact distances cost no more than is noticed. One field takes 0.013, 0.030
-# and 0.067 s of one core at 500, 1,000 and 2,000 vertices (geometric means of four models; at most
-# 0.076), while the heat method takes 0.008, 0.009 and 0.014 s before the first source.
-EXACT = 2_000
 # Mean relative error that deserves a warning: between 2.5 %, as of well resolved models, and 5 %.
 _OFF = 0.0375
 _TOGETHER = 8  # sources that a thread solves for at once, as `SparseLDL` does best
@@ -311,7 +306,7 @@ class HeatGeodesics:
         if part not in self._errors:
             first = int(field.sources.vertices[0])
             alone = check_sources(first, self.geometry)
-            exact = _exact(self.geometry, alone)
+            exact = exact_or_none(self.geometry, alone)
             if exact is None:
                 return
             heat = self._block(self._ready(self._component(alone)), [alone])[0].distance
@@ -486,33 +481,6 @@ def _cold() -> InvalidInputError:
         "sources",
         "not all lie on the boundary of their component, which boundary='dirichlet' keeps cold",
         advice="use 'neumann' or 'average'",
-    )
-
-
-def _exact(mesh: TriangleMesh, sources: Sources) -> Floats | None:
-    """Return exact distances from vertices; None where triangles are too thin for them."""
-    try:
-        return exact_distances(mesh, sources.vertices)
-    except ConvergenceError:
-        return None
-
-
-def exact_field(
-    geometry: Geometry | IntrinsicTriangulation, sources: SourcesLike
-) -> DistanceField | None:
-    """Measure exact distances where they cost little and can be had, None elsewhere."""
-    if not isinstance(geometry, TriangleMesh) or geometry.n > EXACT:
-        return None
-    clock, checked = Clock(), check_sources(sources, geometry)
-    exact = None if checked.offsets.any() else _exact(geometry, checked)
-    if exact is None:
-        return None
-    return DistanceField(
-        distance=exact,
-        sources=checked,
-        solver=Exact(),
-        reason=f"at most {EXACT} vertices",
-        seconds={"exact": clock.total},
     )
 
 

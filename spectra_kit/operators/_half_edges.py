@@ -12,13 +12,10 @@ import math
 
 import numpy as np
 from numba.extending import register_jitable
-from numpy.typing import NDArray
 from scipy import sparse
 
 from spectra_kit._core.compiled import compiled
-from spectra_kit._core.types import Ints32
-
-Floats = NDArray[np.float64]
+from spectra_kit._core.types import Floats, Ints32
 
 _COINCIDENT = 1e-12  # triangles smaller than this, in a geometry of size 1, are mollified to it
 _TIE = 1e-12  # cosines that differ by less are equal, but for rounding

@@ -9,10 +9,7 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from spectra_kit._core.compiled import compiled
-from spectra_kit._core.types import Ints32
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from spectra_kit._core.types import Bools, Floats, Ints32
 
 _STRAIGHT = 1e-5  # radians: a gap that close to pi is a boundary, as in robust_laplacian
 _PARALLEL = 1e-12  # radians: directions that differ by less are the same, but for rounding

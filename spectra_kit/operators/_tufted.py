@@ -11,12 +11,9 @@ import math
 
 import numpy as np
 from numba.extending import register_jitable
-from numpy.typing import NDArray
 
 from spectra_kit._core.compiled import compiled
-from spectra_kit._core.types import Ints, Ints32
-
-Floats = NDArray[np.float64]
+from spectra_kit._core.types import Floats, Ints, Ints32
 
 
 @compiled()
