@@ -5,7 +5,6 @@ And draw themselves, by `show`, which lies above them.
 
 from __future__ import annotations
 
-import re
 from base64 import b64encode
 from collections.abc import Mapping
 from dataclasses import fields
@@ -18,25 +17,12 @@ from numpy.typing import NDArray
 
 from spectra_kit._core.files import temporary_folder
 
+# Here as well until every room takes it from its home.
+from spectra_kit._core.text import printable as printable
+
 Array = TypeVar("Array", bound=NDArray[np.generic])
 
 _HANDFUL = 4  # numbers that the repr of an array may show
-
-#: Characters that a terminal obeys, also as bytes of no text.
-_OBEYED = re.compile("[\x00-\x1f\x7f-\x9f\udc80-\udc9f]")
-
-
-def printable(text: str, *, lines: bool = False) -> str:
-    """Return a text, a name maybe, with what a terminal would obey as it is written in Python.
-
-    Ends of `lines`, and tabs, stay where the text may have some.
-    """
-
-    def written(found: re.Match[str]) -> str:
-        sign = found.group()
-        return sign if lines and sign in "\n\t" else f"\\x{ord(sign) & 0xFF:02x}"
-
-    return _OBEYED.sub(written, text)
 
 
 def table(title: str, facts: Mapping[str, object]) -> str:

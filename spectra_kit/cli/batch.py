@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import get_args
 
-from spectra_kit._core.records import printable
+from spectra_kit._core.text import printable
 from spectra_kit._core.validate import quantity
 from spectra_kit.cli import program
 from spectra_kit.cli.options import refuse_given

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, TextIO
 
 from spectra_kit._core.files import naming
-from spectra_kit._core.records import printable
+from spectra_kit._core.text import printable
 from spectra_kit._core.version import VERSION
 from spectra_kit.cli.help import help_text
 from spectra_kit.cli.options import refuse_unused

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from spectra_kit._core.records import printable
+from spectra_kit._core.text import printable
 from spectra_kit._core.validate import check_count
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.inputs import load

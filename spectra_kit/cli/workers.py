@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from spectra_kit._core.records import printable
+from spectra_kit._core.text import printable
 from spectra_kit._core.validate import quantity
 from spectra_kit.cli import program
 from spectra_kit.cli.options import refuse_given
