@@ -21,15 +21,13 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.model import NeoConfig, NeoNetwork
 from spectra_kit.neo.pretrained import load_pretrained, save_weights
 from spectra_kit.neo.train import checkpoint
-from spectra_kit.neo.train.batches import window
+from spectra_kit.neo.train.checkpoint import Row
 from spectra_kit.neo.train.config import TrainConfig
-from spectra_kit.neo.train.corpus import read_fingerprint
-from spectra_kit.neo.train.evaluation import errors_of, typical
-from spectra_kit.neo.train.log import Row
+from spectra_kit.neo.train.corpus import Corpus, Source, open_shards, read_fingerprint, shard_number
+from spectra_kit.neo.train.evaluation import errors_of, typical, validate
 from spectra_kit.neo.train.ranks import Ranks, process_group
-from spectra_kit.neo.train.shards import Corpus, join, open_shards
-from spectra_kit.neo.train.stream import SampleStream
-from spectra_kit.neo.train.train import TrainResult, train, validate
+from spectra_kit.neo.train.stream import SampleStream, window
+from spectra_kit.neo.train.train import TrainResult, train
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -149,14 +147,14 @@ def _run(args: argparse.Namespace, device: str) -> TrainResult:
 
 def _corpus(
     args: argparse.Namespace, config: TrainConfig, step: int
-) -> AbstractContextManager[Corpus | SampleStream]:
+) -> AbstractContextManager[Source]:
     """Return the folders, or the stream from what a step shows of it on."""
     if bool(args.corpus) == (args.stream is not None):
         raise InvalidInputError("give folders of shards, or --stream FOLDER to make samples")
     held_out = {_seed(folder) for folder in (args.validation, args.hourly) if folder is not None}
     if args.stream is None:
         _refuse(held_out & {_seed(folder) for folder in args.corpus} - {None})
-        return nullcontext(join([open_shards(folder) for folder in args.corpus]))
+        return nullcontext(open_shards(*args.corpus))
     if Ranks.here().world > 1:
         raise InvalidInputError(
             "--stream is for one process",
@@ -167,7 +165,7 @@ def _corpus(
     if config.shown:
         first, _ = window(config, step, args.capacity)
     else:  # those of before, or of numbers that no step has shown
-        there = [int(path.name.removeprefix("shard_")) for path in args.stream.glob("shard_*")]
+        there = [shard_number(path) for path in args.stream.glob("shard_*")]
         first = min(there) * made_of.shard_size if there else step * config.batch
     return SampleStream(
         made_of,
@@ -180,7 +178,7 @@ def _corpus(
     )
 
 
-def _wait(corpus: Corpus | SampleStream, config: TrainConfig) -> None:
+def _wait(corpus: Source, config: TrainConfig) -> None:
     """Let a stream that shows what is there have more to show than the same few samples."""
     if isinstance(corpus, SampleStream) and not config.shown:
         corpus.ready(min(corpus.capacity, 4 * config.batch), timeout=60)

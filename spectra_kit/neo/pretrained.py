@@ -181,11 +181,6 @@ def save_weights(
     -------
     str
         The sha256 of the file.
-
-    Raises
-    ------
-    InvalidInputError
-        If the record is no JSON, or the folder does not exist.
     """
     check_float_dtype(dtype)
     try:
@@ -210,13 +205,7 @@ class WeightsFile(NamedTuple):
 
 
 def find_weights(name_or_path: str | os.PathLike[str]) -> WeightsFile:
-    """Return the file of a shipped name or of a path, without reading the weights.
-
-    Raises
-    ------
-    WeightsError
-        If the name is unknown or the file is missing.
-    """
+    """Return the file of a shipped name or of a path, without reading the weights."""
     if isinstance(name_or_path, str) and name_or_path in WEIGHTS:
         shipped = WEIGHTS[name_or_path]
         path = _FOLDER / shipped.file
