@@ -6,7 +6,7 @@ is read and posed ahead, and samples stay on a device that has room for all.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple, Self
 
@@ -119,7 +119,7 @@ class Loader:
 
     def _read(self, step: int) -> _Read:
         numbers, reader = self._source.draw(self._config, step)
-        shown = range(len(numbers))[self._share]
+        shown: Sequence[int] = range(len(numbers))[self._share]
         if self._store is not None:
             there = {int(numbers[i]): i for i in shown}
             shown = [i for number, i in there.items() if number not in self._store.slots]

@@ -86,14 +86,14 @@ class Samples:
     (array([4]), False)
     """
 
-    points: NDArray[np.float32]
-    mass: NDArray[np.float32]
-    eigenvectors: NDArray[np.float16]
+    points: NDArray[np.floating]
+    mass: NDArray[np.floating]
+    eigenvectors: NDArray[np.floating]
     labels: dict[str, NDArray[np.int64]] = field(default_factory=dict)
-    eigenvalues: NDArray[np.float32] | None = None
+    eigenvalues: NDArray[np.floating] | None = None
     starts: NDArray[np.int32] | None = None
     columns: NDArray[np.int32] | None = None
-    entries: NDArray[np.float32] | None = None
+    entries: NDArray[np.floating] | None = None
 
     def __post_init__(self) -> None:
         for name, dtype in (ARRAYS | OPERATORS).items():
