@@ -46,7 +46,7 @@ from spectra_kit.geometry import GaussianDensity, sample
 from spectra_kit.geometry.io import READERS
 from spectra_kit.neo import NeoConfig, NeoSubspace, load_pretrained, save_weights
 from spectra_kit.neo.train.config import TrainConfig
-from spectra_kit.neo.train.shards import Corpus, open_shards
+from spectra_kit.neo.train.corpus import Corpus, open_shards
 from spectra_kit.neo.train.train import train
 
 TINY = NeoConfig(width=64, depth=3, heads=4, head_width=16, latents=32, m=192, waves=32)

@@ -12,7 +12,8 @@ from PIL import Image
 
 from spectra_kit.geometry import write
 from spectra_kit.neo import NeoConfig, load_pretrained
-from spectra_kit.neo.train.shards import write_shard
+from spectra_kit.neo.train.corpus import write_shard
+from spectra_kit.neo.train.samples import Samples
 
 BASE = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=24, k=8, waves=4)
 
@@ -22,7 +23,7 @@ def run(tmp_path_factory):
     """Run the app on a tiny corpus and one mesh; return its exit code."""
     root = tmp_path_factory.mktemp("ablation")
     for name, seed in (("train", 0), ("validation", 1)):
-        write_shard(root / name, 0, *ellipsoids(16, seed), {"family": np.zeros(16)})
+        write_shard(root / name, 0, Samples(*ellipsoids(16, seed), {"family": np.zeros(16)}))
     (root / "meshes").mkdir()
     write(creature(600, seed=0), root / "meshes" / "animal.ply")
 
@@ -118,7 +119,7 @@ def test_other_files_under_the_same_names_are_other_files(run, report, capsys):
     mesh.write_bytes(before)
     shards = run.out.parent / "train"
     kept = shards.rename(run.out.parent / "kept")
-    write_shard(shards, 0, *ellipsoids(16, 7), {"family": np.zeros(16)})
+    write_shard(shards, 0, Samples(*ellipsoids(16, 7), {"family": np.zeros(16)}))
     try:
         assert run("--only", "plain") == 2
     finally:

@@ -2,7 +2,6 @@
 
 import threading
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,36 +11,31 @@ from scipy.spatial.transform import Rotation
 from spectra_kit.eigen.subspaces.frame import POSES, canonical_frame
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.model import NeoConfig
-from spectra_kit.neo.train import feed as feeding
-from spectra_kit.neo.train.batches import (
-    drawn_samples,
+from spectra_kit.neo.train import loader as loading
+from spectra_kit.neo.train.config import TrainConfig
+from spectra_kit.neo.train.corpus import Corpus
+from spectra_kit.neo.train.loader import (
+    Loader,
     for_validation,
     posed,
     random_rotations,
     rotations,
-    window,
 )
-from spectra_kit.neo.train.config import TrainConfig
-from spectra_kit.neo.train.feed import Feed
-from spectra_kit.neo.train.shards import Batch, Corpus, join
+from spectra_kit.neo.train.samples import CorpusConfig, Samples
+from spectra_kit.neo.train.stream import SampleStream, drawn, window
 
 CPU = torch.device("cpu")
 
 
-def corpus(n=24, seed=0, first=0):
+def samples(n=24, seed=0):
     rng = np.random.default_rng(seed)
     points = rng.standard_normal((n, 64, 3)) * rng.uniform(0.3, 1, (n, 1, 3)) + 5
     mass = rng.uniform(0.5, 1.5, (n, 64))
-    mass /= mass.sum(1, keepdims=True)
-    modes = rng.standard_normal((n, 64, 8)).astype(np.float16)
-    whole = (points.astype(np.float32), mass.astype(np.float32), modes)
-    halves = (slice(n // 2), slice(n // 2, n))
-    shards = tuple(Batch(*(array[half] for array in whole)) for half in halves)
-    return Corpus(shards, {"index": first + np.arange(n)})
+    return Samples(points, mass / mass.sum(1, keepdims=True), rng.standard_normal((n, 64, 8)))
 
 
-CORPUS = corpus()
-WHOLE = CORPUS.batch(range(24))
+WHOLE = samples()
+CORPUS = Corpus((WHOLE[:12], WHOLE[12:]))
 
 
 def config(frame="principal", **options):
@@ -52,7 +46,7 @@ def config(frame="principal", **options):
 
 
 def feed(settings, source=CORPUS, **options):
-    return Feed(source, settings, CPU, **options)
+    return Loader(source, settings, CPU, **options)
 
 
 def assert_equal(one, other):
@@ -100,7 +94,7 @@ def test_the_next_batch_is_read_while_the_step_waits(monkeypatch):
 
     with feed(config()) as batches:  # closed, so that its thread is not noted below
         expected = batches(1)
-    monkeypatch.setattr(feeding, "posed", noted)
+    monkeypatch.setattr(loading, "posed", noted)
     with feed(config()) as batches:
         batches(0)
         assert ready.acquire(timeout=60)
@@ -157,52 +151,54 @@ def test_jitter_turns_and_shrinks_a_little():
 
 
 @pytest.mark.parametrize("resident", [False, True])
-def test_a_stream_shows_what_is_there(monkeypatch, resident):
-    monkeypatch.setattr("spectra_kit.neo.train.feed._REFRESH", 0.0)
+def test_a_stream_shows_what_is_there(resident):
+    made = samples(48, 1)
+    stream = SampleStream(CorpusConfig(seed=0, n_points=64, k=8), workers=1, capacity=24)
 
-    def masses(*corpora):
-        return {mass.tobytes() for c in corpora for shard in c.shards for mass in shard.mass}
+    def come(first, stop):
+        for i in range(first, stop):
+            stream._samples.append(made[i : i + 1])
+        stream._next = stop
 
     def seen(steps):
         return {row.numpy().tobytes() for step in steps for row in batches(step)[1]}
 
-    a, b, c = corpus(8, 1, first=0), corpus(8, 2, first=8), corpus(16, 3, first=16)
-    stream = SimpleNamespace(now=a, capacity=24)  # what is gone must make room
-    stream.corpus = lambda: stream.now
+    def masses(first, stop):
+        return {mass.tobytes() for mass in made.mass[first:stop]}
+
     batches = feed(config(batch=8), stream, resident=resident)
-    assert seen([0]) == masses(a)
-    stream.now = join([b, a])  # it grows, and the order changes
-    assert seen([2, 3]) == masses(a, b)
-    stream.now = b  # the oldest go
-    assert seen([5]) == masses(b)
-    stream.now = join([c, b])
-    assert seen([9, 10, 11]) == masses(b, c)
-    stream.now = Corpus(tuple(s[:0] for s in a.shards), {})
-    with pytest.raises(InvalidInputError, match=r"got none; wait with `stream.ready`"):
-        batches(12)
+    with pytest.raises(InvalidInputError, match=r"got none; wait with `ready`"):
+        batches(0)
+    for first, stop, steps in ((0, 8, [0]), (8, 16, [2, 3]), (16, 24, [6, 7, 8])):
+        come(first, stop)
+        batches = feed(config(batch=8), stream, resident=resident)
+        assert seen(steps) == masses(0, stop)
+    come(24, 40)  # the oldest make room
+    batches(9)  # which was read before
+    assert seen([12, 13, 14]) == masses(16, 40)
 
 
 def test_windows_of_a_stream_move_on_and_show_each_sample_so_often():
     settings, shown = config(shown=3, batch=6), np.zeros(3000)
     for step in range(1200):
         first, stop = window(settings, step, 60)
-        numbers = drawn_samples(settings, step, 60)
+        numbers = drawn(settings, step, 60)
         assert 0 <= first <= numbers.min() <= numbers.max() < stop <= first + 60
         assert len(set(numbers)) == 6
-        np.testing.assert_array_equal(numbers, drawn_samples(settings, step, 60))
+        np.testing.assert_array_equal(numbers, drawn(settings, step, 60))
         shown[numbers] += 1
     assert stop == 24 + 2 * step
     assert shown[100:2300].mean() == pytest.approx(3, rel=0.02)
     assert 0.8 < shown[100:2300].var() / 3 < 1.2  # as chance has it
     other = replace(settings, seed=1)
-    assert not np.array_equal(drawn_samples(other, step, 60), drawn_samples(settings, step, 60))
+    assert not np.array_equal(drawn(other, step, 60), drawn(settings, step, 60))
 
 
 @pytest.mark.parametrize("frame", ["principal", "none"])
 def test_validation_shows_whole_samples_the_same_way_every_time(frame):
     settings = config(frame=frame)
-    samples = posed(CORPUS.batch(range(4)), settings)
-    points, mass, modes, _ = for_validation(samples, settings, 0)
+    batch = posed(CORPUS.batch(range(4)), settings)
+    points, mass, modes, _ = for_validation(batch, settings, 0)
     torch.testing.assert_close(points.abs().amax((1, 2)), torch.ones(4))
     assert (mass.shape, modes.dtype) == ((4, 64), torch.float32)
-    assert_equal((points, mass, modes, ()), for_validation(samples, settings, 0))
+    assert_equal((points, mass, modes, ()), for_validation(batch, settings, 0))
