@@ -23,11 +23,11 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 import torch
 from matplotlib.figure import Figure
-from measure import tables
-from measure.command import exit_code, parser_of
-from measure.shapes import data_folder, shape_at
-from measure.store import Store
-from measure.study import Study, run
+from studies import tables
+from studies.command import exit_code, parser_of
+from studies.shapes import data_folder, shape_at
+from studies.store import Store
+from studies.study import Study, run
 from tqdm import tqdm
 
 from spectra_kit import (

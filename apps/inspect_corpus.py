@@ -15,7 +15,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from measure.command import exit_code, parser_of
+from studies.command import exit_code, parser_of
 from numpy.typing import NDArray
 
 from spectra_kit.errors import InvalidInputError

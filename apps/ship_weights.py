@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from measure.command import exit_code, parser_of
+from studies.command import exit_code, parser_of
 from safetensors.torch import save_file
 
 from spectra_kit._core.files import atomic_path
