@@ -33,6 +33,7 @@ STUDIES = {
     "classification": "learning.classify",
     "segmentation": "learning.segment",
     "diffusion-net": "learning.diffusion_net",
+    "ablation": "ablation",
     "batch": "batch.command",
     "many": "many",
     "explorer": "explorer",

@@ -1,5 +1,6 @@
 """The harness of the measurements: it remembers, limits, stops, goes on, and tells."""
 
+import csv
 import dataclasses
 import json
 import os
@@ -10,12 +11,15 @@ import sys
 import textwrap
 import time
 from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import bumpy
+from studies import run as command
 from studies.machine import describe_machine, machine_line
+from studies.report import Table, plain, ratio, write_csv, write_json, write_report
 from studies.shapes import (
     Shape,
     data_folder,
@@ -25,8 +29,7 @@ from studies.shapes import (
     write_operator,
 )
 from studies.store import Store, code_digest
-from studies.study import run
-from studies.tables import number, plain, ratio, table, write_csv, write_json
+from studies.study import Result, Study, run
 from studies.worker import FailedError, Limits, Worker
 from toy_study import Lasting, Toy, calls, clock_ones, toy
 
@@ -67,7 +70,7 @@ def test_what_has_changed_is_measured_again(tmp_path, monkeypatch, changed):
 
 
 def test_the_code_is_that_of_the_sources(tmp_path):
-    for package in ("linalg", "neo", "viz"):
+    for package in ("linalg", "neo", "show"):
         (tmp_path / package).mkdir()
         (tmp_path / package / "a.py").write_text("1")
 
@@ -77,11 +80,20 @@ def test_the_code_is_that_of_the_sources(tmp_path):
 
     first, neo = found(), found("neo/*.py")
     assert first.startswith(f"{VERSION}+")
-    (tmp_path / "viz" / "a.py").write_text("2")  # what draws decides no number
+    (tmp_path / "show" / "a.py").write_text("2")  # what draws decides no number
     assert found() == first
     (tmp_path / "linalg" / "a.py").rename(tmp_path / "linalg" / "b.py")
     assert found() != first
     assert found("neo/*.py") == neo
+    with pytest.raises(InvalidInputError, match="must match files of the package"):
+        found("linalg/a.py")
+
+
+def test_the_sources_of_studies_are_there():
+    for name in set(command.STUDIES.values()) | {"geodesics.distances", "learning.segmentation"}:
+        import_module(f"studies.{name}")
+    studies = Study.__subclasses__()
+    assert {code_digest(study.sources) for study in studies if study is not Toy}
 
 
 def test_a_store_that_was_cut_short_anywhere_goes_on(tmp_path):
@@ -150,7 +162,7 @@ def test_all_processes_end_with_their_parent_and_it_goes_on(tmp_path, number):
         from pathlib import Path
         from studies.command import exit_code
         from studies.store import Store
-        from studies.study import run
+        from studies.study import Result, Study, run
         from toy_study import toy
         folder = Path(sys.argv[1])
         study = toy(folder, ["a", "waits"], [1])
@@ -245,27 +257,54 @@ def test_operators_survive_the_file(tmp_path):
     assert (again.seconds, again.operator) == (laplacian.seconds, laplacian.operator)
 
 
-# --- tables ---
+# --- the report and the command ---
 
 
-def test_tables_are_aligned_and_numbers_may_be_missing(tmp_path):
-    assert table(["a", "b"], [["long", "1"], ["x", "22"]]).splitlines() == [
-        "| a    |  b |",
-        "| :--- | -: |",
-        "| long |  1 |",
-        "| x    | 22 |",
+def test_a_report_has_a_tidy_line_for_each_measurement(tmp_path, capsys):
+    good = {"status": "ok", "key": "k", "x": {"a": 1.5, "b": [1, 2.5]}, "errors": [{"m": 3}]}
+    results = [Result("a", 1, 0, good)]
+    results += [Result("b", n, 0, {"status": "failed", "reason": "too | hard"}) for n in (1, 2)]
+    rows = [{"who": "a", "x": 0.125, "best": True}, {"who": "b", "x": np.nan}]
+    table = Table("Numbers", rows, {"who": "", "x": ".2f", "y": ""})
+    path = write_report(tmp_path, "toy", results, [table], describe_machine(), more=(1,))
+    assert path.read_text() in capsys.readouterr().out
+    assert str(table).splitlines() == [
+        "| who   |    x |  y |",
+        "| :---- | ---: | -: |",
+        "| **a** | 0.12 |  - |",
+        "| b     |    - |  - |",
     ]
-    assert number(None) == number(float("nan")) == "-"
-    assert number(0.12345) == "0.123"
+    lines = list(csv.DictReader((tmp_path / "toy.csv").read_text().splitlines()))
+    told = [lines[0][name] for name in ("contender", "status", "x.a", "x.b", "errors.0.m")]
+    assert told == ["a", "ok", "1.5", "1 2.5", "3"]
+    assert [line["reason"] for line in lines] == ["", "too | hard", "too | hard"]
+    record = json.loads((tmp_path / "toy.json").read_text())
+    assert record["tables"]["Numbers"][1] == {"who": "b", "x": None}
+    assert record["failed"] == [{"contender": "b", "reason": "too | hard", "problems": "1; 2"}]
+    assert record["more"] == [1]
+
+
+def test_values_may_be_missing_and_json_has_no_nan(tmp_path):
     assert ratio(None, 1.0) is ratio(1.0, None) is ratio(1.0, 0.0) is None
     assert ratio(1.0, 4.0) == 0.25
-    path = write_csv(tmp_path / "a.csv", [{"x": 1, "y": "b,c"}])
-    assert path.read_text() == 'x,y\n1,"b,c"\n'
-
-
-def test_json_has_no_nan(tmp_path):
+    path = write_csv(tmp_path / "a.csv", [{"x": 1}, {"y": "b,c"}])
+    assert path.read_text() == 'x,y\n1,\n,"b,c"\n'
     shown = {"a": np.array([1.0, np.nan]), "b": Limits(), 3: (np.int64(2), Path("x"))}
     limits = {"threads": 1, "seconds": None, "memory": None}
     wanted = {"a": [1.0, None], "b": limits, "3": [2, "x"]}
     assert plain(shown) == wanted
     assert json.loads(write_json(tmp_path / "a.json", shown).read_text()) == wanted
+
+
+@pytest.mark.parametrize("name", command.STUDIES)
+def test_every_study_has_a_command_that_tells_how_it_is_called(name, capsys):
+    with pytest.raises(SystemExit, match="0"):
+        command.main([name, "--help"])
+    assert f"apps/studies/run.py {name} OUT" in capsys.readouterr().out
+
+
+def test_the_command_runs_as_a_script_and_names_its_studies():
+    script = [sys.executable, command.__file__]
+    told = subprocess.run([*script, "nothing"], capture_output=True, text=True, check=False)
+    assert told.returncode == 2
+    assert "'eigensolvers', 'geodesics'" in told.stderr

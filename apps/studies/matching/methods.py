@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -20,6 +19,7 @@ from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.maps import FitWeights, fit_functional_map, match, prepare, zoomout
 from spectra_kit.operators.oriented import oriented_triangles
 from studies.matching import pyfm_peer
+from studies.worker import clocked
 
 _FITTED, _THINNED = 30, 4  # modes of a fitted map; of 100 signatures every fourth
 
@@ -50,12 +50,13 @@ class Outcome:
 
 def match_best(source: Side, target: Side) -> Outcome:
     """Match as `maps.match` does by default; the seconds include preparing both sides."""
-    clock = _Clock()
-    prepared = (prepare(side.spectrum, side.geometry) for side in (source, target))
-    found = match(*prepared, k=min(source.spectrum.k, target.spectrum.k))
+    with clocked() as clock:
+        prepared = (prepare(side.spectrum, side.geometry) for side in (source, target))
+        found = match(*prepared, k=min(source.spectrum.k, target.spectrum.k))
     return Outcome(
         found.point_map,
-        *clock.read(),
+        clock.seconds,
+        clock.processor_seconds,
         candidates=tuple(candidate.functional_map for candidate in found.candidates),
         confidence=found.confidence,
         margin=found.margin,
@@ -68,23 +69,23 @@ def match_wks(source: Side, target: Side, *, orientation: float = 0.0) -> Outcom
 
     With a weight for `orientation` the fit has that term; see `fit_functional_map`.
     """
-    clock = _Clock()
-    a, b = (side.spectrum for side in (source, target))
-    oriented = None
-    if orientation:
-        oriented = oriented_triangles(source.geometry), oriented_triangles(target.geometry)
-    f, g = (normalize_descriptors(s, wave_kernel_signature(s))[:, ::_THINNED] for s in (a, b))
-    fitted = fit_functional_map(
-        a,
-        b,
-        f,
-        g,
-        k=_FITTED,
-        weights=FitWeights(orientation=orientation),
-        oriented=oriented,
-    )
-    refined = zoomout(a, b, fitted, k_final=min(a.k, b.k))
-    return Outcome(refined.point_map, *clock.read())
+    with clocked() as clock:
+        a, b = (side.spectrum for side in (source, target))
+        oriented = None
+        if orientation:
+            oriented = oriented_triangles(source.geometry), oriented_triangles(target.geometry)
+        f, g = (normalize_descriptors(s, wave_kernel_signature(s))[:, ::_THINNED] for s in (a, b))
+        fitted = fit_functional_map(
+            a,
+            b,
+            f,
+            g,
+            k=_FITTED,
+            weights=FitWeights(orientation=orientation),
+            oriented=oriented,
+        )
+        refined = zoomout(a, b, fitted, k_final=min(a.k, b.k))
+    return Outcome(refined.point_map, clock.seconds, clock.processor_seconds)
 
 
 def match_pyfm(source: Side, target: Side, *, python: str = sys.executable) -> Outcome:
@@ -136,14 +137,3 @@ METHODS = {
     "wks-orient-zoomout": Entry(partial(match_wks, orientation=1.0)),
     "pyfm": Entry(match_pyfm, own=True),
 }
-
-
-class _Clock:
-    """Seconds since it was made."""
-
-    def __init__(self) -> None:
-        self._wall, self._cpu = time.perf_counter(), time.process_time()
-
-    def read(self) -> tuple[float, float]:
-        """Return wall and CPU seconds."""
-        return time.perf_counter() - self._wall, time.process_time() - self._cpu

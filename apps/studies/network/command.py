@@ -53,7 +53,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from matplotlib.axes import Axes
 
 from spectra_kit._core.types import Floats
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
@@ -61,7 +60,17 @@ from spectra_kit.show import Page, plot_comparison
 from studies import figures, paper
 from studies.machine import describe_machine
 from studies.network.cases import procedural_shapes
-from studies.network.findings import DRAWN, WORST, Beside, Row, beside, mean, worst
+from studies.network.findings import (
+    WORST,
+    Beside,
+    Labels,
+    Row,
+    beside,
+    lead,
+    mean,
+    over,
+    worst,
+)
 from studies.network.questions import QUESTIONS, Answer, Settings, ask
 from studies.network.training import write_training
 from studies.report import Table, write_report
@@ -158,30 +167,25 @@ def write_answer(answer: Answer, folder: Path, *, worst: int = 0) -> Path:
             drawn += draw_worst(answer, folder / "figures", count=worst)
         except MissingDependencyError as error:
             print(f"the worst modes are not drawn: {error}", file=sys.stderr)
-    labels = dict.fromkeys((name for row in rows for name in row.labels), "")
+    names = dict.fromkeys((name for row in rows for name in row.labels), "")
     errors = {
         f"{title}, {figure}": ".3g"
         for title in ERRORS.values()
         for figure in ("mean", "std", "median", "iqr", "the paper's")
     }
-    shown = {
-        **labels,
-        "functions": "d",
-        "clouds": "d",
-        **errors,
-        "seconds": ".2f",
-        "exact s": ".2f",
-    }
+    times = {_over(labels): ".3g" for labels in answer.question.against}
+    times |= {_LEAD: ".3g"} if answer.name == "accuracy" else {}
+    seconds = {"seconds": ".2f", "exact s": ".2f"}
+    shown = {**names, "functions": "d", "clouds": "d", **errors, **times, **seconds}
     tables = [
-        Table(answer.question.title, [_told(row, answer.name) for row in rows], shown),
-        Table("Findings", [one._asdict() for one in answer.findings], {"text": "", "value": ".3g"}),
+        Table(answer.question.title, [_told(row, rows, answer) for row in rows], shown),
     ]
     if answer.name == "rotation":
         spread = dict.fromkeys(("std / mean", "max / min"), ".3f")
         tables[0] = Table(
             answer.question.title,
             [_spread_of(row) for row in rows],
-            {**labels, "rotations": "d", "mean span error": ".3g", **spread},
+            {**names, "rotations": "d", "mean span error": ".3g", **spread},
         )
     if answer.name == "models":
         tables[:1] = [
@@ -193,11 +197,20 @@ def write_answer(answer: Answer, folder: Path, *, worst: int = 0) -> Path:
     return write_report(folder, answer.name, answer.results, tables, machine, figures=drawn)
 
 
-def _told(row: Row, question: str) -> Record:
-    """Statistics over cases of each error, with the mean of each case, and the paper's."""
+_LEAD = "times less than as many waves"
+
+
+def _over(labels: Labels) -> str:
+    return f"over {', '.join(map(str, labels.values()))}"
+
+
+def _told(row: Row, rows: Sequence[Row], answer: Answer) -> Record:
+    """Statistics over cases of each error, with the mean of each case, the paper's, and ratios."""
     record: Record = {**row.labels, "method": row.method.facts, "functions": row.method.columns}
     record |= {"clouds": len(row.cases), "seconds": row.seconds, "exact s": row.exact_seconds}
-    theirs = _told_by_paper(question, row)
+    record |= {_over(labels): over(row, rows, **labels) for labels in answer.question.against}
+    record[_LEAD] = lead(row, rows)
+    theirs = _told_by_paper(answer.name, row)
     for error, title in ERRORS.items():
         means = row.means(error)
         record |= {f"{title}, {name}": value for name, value in statistics(means).items()}
@@ -247,20 +260,15 @@ def _ranked(one: Beside) -> list[Record]:
 def _draw(answer: Answer, folder: Path) -> list[Path]:
     """Draw what a question has to show: ``QUESTION-WHAT.png`` each."""
     rows, name = [row for row in answer.rows if row.cases], answer.name
-    if name == "models":
-        return [
-            _ranking(one, folder / f"models-{_slug(one.place.models)}.png") for one in beside(rows)
-        ]
+    if name in ("models", "rotation"):  # whose tables tell all
+        return []
     drawn = []
     for place in dict.fromkeys(row.place for row in rows):
         here = [row for row in rows if row.place == place]
         title = str(place)
         points = f"-{place.points}-points" if place.points else ""
         path = folder / f"{name}-{place.models}{points}"
-        if name == "rotation":
-            drawn.append(_spread(here, title, path.with_name(f"{path.name}.png")))
-        else:
-            drawn.append(_modes(here, title, path.with_name(f"{path.name}-modes.png")))
+        drawn.append(_modes(here, title, path.with_name(f"{path.name}-modes.png")))
     quantity = {"accuracy": "points", "precision": "points", "redundancy": "m"}.get(name, "")
     for models in dict.fromkeys(row.place.models for row in rows if quantity):
         these = [row for row in rows if row.place.models == models]
@@ -334,35 +342,6 @@ def _against(rows: Sequence[Row], quantity: str, path: Path) -> Path:
         figures.ticks(panel, [int(row.labels[quantity]) for row in rows])
     figures.legend(figure, axes[0])
     return figures.save(figure, path)
-
-
-def _ranking(one: Beside, path: Path) -> Path:
-    """Errors of each model, the worst first."""
-    figure, (panel,) = figures.panels(f"{one.place}, {one.method}")
-    order = one.worst_first
-    for i, name in enumerate(DRAWN):
-        style = figures.dots(i) | {"ls": ""}
-        panel.plot(range(len(order)), one.columns[name][order], label=name, **style)
-    _named(panel, [one.cases[i].shape.name for i in order], "error")
-    figures.legend(figure, panel)
-    return figures.save(figure, path)
-
-
-def _spread(rows: Sequence[Row], title: str, path: Path) -> Path:
-    """Span error of each shape in each rotation, and their mean."""
-    figure, (panel,) = figures.panels(f"{title}, random rotations")
-    ranked = sorted(rows, key=lambda row: -row.mean())
-    for i, row in enumerate(ranked):
-        means = row.means()
-        panel.scatter(np.full(len(means), i), means, color=figures.colour(0), s=10, alpha=0.6, lw=0)
-        panel.plot([i - 0.3, i + 0.3], [means.mean()] * 2, color=figures.colour(1), lw=1.4)
-    _named(panel, [str(row.labels["model"]) for row in ranked])
-    return figures.save(figure, path)
-
-
-def _named(panel: Axes, names: Sequence[str], what: str = "mean span error") -> None:
-    panel.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=7)
-    panel.set(ylabel=what, yscale="log")
 
 
 def _words(row: Row, *, but: Sequence[str]) -> list[str]:

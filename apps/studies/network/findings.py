@@ -1,11 +1,10 @@
-"""From rows of measurements to ratios; and `Neo` model by model, beside plane waves.
+"""Rows of measurements, and their ratios; and `Neo` model by model, beside plane waves.
 
 The waves are smoothed alike. Each model is measured before and after smoothing.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -22,14 +21,6 @@ Labels = Mapping[str, str | int]
 
 #: Labels that others are compared with.
 CLOUD, AWARE = "cloud, Delaunay", "mass-aware"
-_REFERENCE_POINTS = 8192
-
-
-class Finding(NamedTuple):
-    """What was compared, and the ratio or error."""
-
-    text: str
-    value: float
 
 
 class Place(NamedTuple):
@@ -80,124 +71,35 @@ class Row:
         return float(np.median([record["exact_seconds"] for record in self.records]))
 
 
-def of_accuracy(rows: Sequence[Row]) -> list[Finding]:
-    """Error of one pose, its lead over plane waves, its growth with N."""
-    found = []
-    for row in rows:
-        if row.method.poses == 1:
-            found += _of_one_pose(row, rows)
-    return found
+def over(row: Row, rows: Sequence[Row], **labels: str | int) -> float | None:
+    """Return the span error over that of the row whose labels are these but alike, if any.
+
+    On the shapes that both have.
+    """
+    for other in rows:
+        if other is not row and other.labels == {**row.labels, **labels}:
+            errors = [
+                {case.shape.digest: mean for case, mean in zip(one.cases, one.means(), strict=True)}
+                for one in (row, other)
+            ]
+            both = errors[0].keys() & errors[1].keys()
+            mine, theirs = (sum(float(error[shape]) for shape in both) for error in errors)
+            return mine / theirs if both else None
+    return None
 
 
-def _of_one_pose(row: Row, rows: Sequence[Row]) -> list[Finding]:
-    what = f"{row.place}, {row.method}"
-    found = [Finding(f"{what}: mean span error", row.mean())]
+def lead(row: Row, rows: Sequence[Row]) -> float | None:
+    """Return how many times less a network's error is than that of as many plane waves, the best.
+
+    None of more poses than one, and of what is no network.
+    """
     rivals = [
-        other
-        for other in _beside(row, rows)
-        if other.method.group == "plane waves" and other.method.columns == row.method.columns
-    ]
-    if rivals:
-        rival = min(rivals, key=Row.mean)
-        found.append(Finding(f"{what}: times less than {rival.method}", rival.mean() / row.mean()))
-    if (row.place.points or 0) > _REFERENCE_POINTS:
-        text = f"{what}: times the error at {_REFERENCE_POINTS:,}"
-        for other in rows:
-            if other.labels == {**row.labels, "points": _REFERENCE_POINTS}:
-                growth = _growth(other, row)
-                if growth is not None:
-                    found.append(Finding(text, growth))
-    return found
-
-
-def of_precision(rows: Sequence[Row]) -> list[Finding]:
-    """Errors in half precision against those in float32."""
-    return [
-        Finding(
-            f"{row.place}, {row.labels['precision']}: times the {name} error of float32",
-            row.mean(error) / other.mean(error),
-        )
-        for row, other in _against(rows, "precision", "float32")
-        for error, name in (("span", "span"), ("value", "eigenvalue"))
-    ]
-
-
-def of_sampling(rows: Sequence[Row]) -> list[Finding]:
-    """Non-uniform against uniform samples, and each variant against the mass-aware network."""
-    found = []
-    for row in rows:
-        what = ", ".join(map(str, row.labels.values()))
-        for other in rows:
-            ratio = row.mean() / other.mean()
-            if other is not row and other.labels == {**row.labels, "sampling": "uniform"}:
-                found.append(Finding(f"{what}: times the error on uniform samples", ratio))
-            if other is not row and other.labels == {**row.labels, "attention": AWARE}:
-                found.append(Finding(f"{what}: times the error of the mass-aware network", ratio))
-    return found
-
-
-def of_operators(rows: Sequence[Row]) -> list[Finding]:
-    """Every operator against the Delaunay Laplacian of a cloud."""
-    return [
-        Finding(
-            f"{row.place}, {row.labels['operator']}: times the error on clouds",
-            row.mean() / other.mean(),
-        )
-        for row, other in _against(rows, "operator", CLOUD)
-    ]
-
-
-def of_redundancy(rows: Sequence[Row]) -> list[Finding]:
-    """Every m against the next smaller one."""
-    return [
-        Finding(
-            f"{row.place}, m = {row.labels['m']}: times the error of m = {smaller.labels['m']}",
-            row.mean() / smaller.mean(),
-        )
-        for smaller, row in itertools.pairwise(rows)
-        if smaller.place == row.place and smaller.labels["m"] != row.labels["m"]
-    ]
-
-
-def of_rotation(rows: Sequence[Row]) -> list[Finding]:
-    """Spread of the span error over rotations: typical and worst cloud."""
-    found = []
-    for models in dict.fromkeys(row.place.models for row in rows):
-        means = [row.means() for row in rows if row.place.models == models]
-        relative = [mean.std() / mean.mean() for mean in means]
-        text = f"{models}: std / mean of the span error over rotations"
-        found.append(Finding(f"{text}, mean over clouds", float(np.mean(relative))))
-        found.append(Finding(f"{text}, worst cloud", float(np.max(relative))))
-        largest = max(mean.max() / mean.min() for mean in means)
-        text = f"{models}: largest / smallest span error over rotations, worst cloud"
-        found.append(Finding(text, float(largest)))
-    return found
-
-
-def _beside(row: Row, rows: Sequence[Row]) -> list[Row]:
-    """Rows of the same place, itself among them."""
-    return [other for other in rows if other.place == row.place]
-
-
-def _against(rows: Sequence[Row], name: str, value: str) -> list[tuple[Row, Row]]:
-    """Pair each row with the one of its place that has this label, but not with itself."""
-    return [
-        (row, other)
-        for row in rows
-        for other in _beside(row, rows)
-        if other.labels[name] == value and other is not row
-    ]
-
-
-def _growth(small: Row, large: Row) -> float | None:
-    """Error of `large` over that of `small`, on the shapes that both have."""
-    errors = [
-        {case.shape.digest: mean for case, mean in zip(row.cases, row.means(), strict=True)}
-        for row in (small, large)
-    ]
-    both = errors[0].keys() & errors[1].keys()
-    below, above = (sum(float(error[shape]) for shape in both) for error in errors)
-    return above / below if both else None
+        other.mean()
+        for other in rows
+        if other.place == row.place and other.method.group == "plane waves"
+        and other.method.columns == row.method.columns
+    ]  # fmt: skip
+    return min(rivals) / row.mean() if row.method.poses == 1 and rivals else None
 
 
 # --- model by model ---
@@ -208,8 +110,6 @@ STEPS = (0, 1, Neo.smoothing)
 WORST = "eigenvalue error"
 _BEFORE, _ONCE = f"{WORST} before", "after one step"
 _RATIOS = _RATIO, _RATIO_ONCE = "ratio", "ratio after one step"
-#: The columns that a figure shows.
-DRAWN = (WORST, f"{WORST}, waves", _ONCE, f"{_ONCE}, waves")
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,21 +170,3 @@ def mean(name: str, values: Floats) -> float:
 def worst(name: str, values: Floats) -> float:
     """Return the worst of a column."""
     return float(values.min() if name in _RATIOS else values.max())
-
-
-def of_models(rows: Sequence[Row]) -> list[Finding]:
-    """Mean and worst of the errors, and of their ratios to those of plane waves."""
-    found = []
-    for one in beside(rows):
-        for name, text in (
-            (WORST, f"{WORST} of {one.method}"),
-            ("span error before", "span error before smoothing"),
-            (_BEFORE, f"{WORST} before smoothing"),
-            (_RATIO_ONCE, "times less than plane waves smoothed alike, by one step each"),
-            (_RATIO, "times less than plane waves that go on to the same target"),
-        ):
-            values, least = one.columns[name], name in _RATIOS
-            at = one.cases[int(values.argmin() if least else values.argmax())].shape
-            told = ("mean", mean(name, values)), (f"worst ({at})", worst(name, values))
-            found += [Finding(f"{one.place}: {text}, {which}", value) for which, value in told]
-    return found

@@ -1,4 +1,4 @@
-"""The questions: which methods on which cases, and what follows from the answers."""
+"""The questions: which methods on which cases."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from spectra_kit.errors import InvalidInputError
 from studies.network import findings as found
 from studies.network.accuracy import Accuracy
 from studies.network.cases import Case
-from studies.network.findings import Finding, Labels, Row
+from studies.network.findings import Labels, Row
 from studies.network.methods import (
     Method,
     Poses,
@@ -72,22 +72,22 @@ class Settings:
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """Each of some methods in each of some places is a row of a table; arithmetic on the rows."""
+    """Each of some methods in each of some places is a row of a table."""
 
     title: str
     places: Callable[[Settings], Places]  #: cases that are summarised together, with labels
     methods: Callable[[Settings], Methods]  #: with labels that tell them apart
-    findings: Callable[[Sequence[Row]], list[Finding]]
+    #: Labels of the rows that others are compared with, each in a column of its own.
+    against: tuple[Labels, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What was found: rows of the table, and ratios and verdicts."""
+    """What was found: rows of the table."""
 
     name: str  #: of the question
     study: Accuracy  #: that measured it
     rows: tuple[Row, ...]
-    findings: tuple[Finding, ...]
     results: tuple[Result[Method, Case], ...]
 
     @property
@@ -97,7 +97,7 @@ class Answer:
 
 
 def ask(name: str, settings: Settings, store: Store, *, progress: bool = False) -> Answer:
-    """Measure what a question needs and the store does not hold; draw the findings."""
+    """Measure what a question needs and the store does not hold."""
     if name not in QUESTIONS:
         raise InvalidInputError("name", f"be one of {', '.join(QUESTIONS)}", repr(name))
     question = QUESTIONS[name]
@@ -115,8 +115,7 @@ def ask(name: str, settings: Settings, store: Store, *, progress: bool = False) 
         these = [by_pair[method, case] for case in cases if (method, case) in by_pair]
         if these:
             rows.append(_row({**place, **which}, method, these))
-    findings = question.findings([row for row in rows if row.cases])
-    return Answer(name, study, tuple(rows), tuple(findings), tuple(results))
+    return Answer(name, study, tuple(rows), tuple(results))
 
 
 def _row(labels: Labels, method: Method, results: Sequence[Result[Method, Case]]) -> Row:
@@ -230,11 +229,20 @@ def _sizes(settings: Settings) -> Methods:
 
 
 QUESTIONS: dict[str, Question] = {
-    "accuracy": Question("Accuracy and time", _everywhere, _all, found.of_accuracy),
-    "precision": Question("Precision of the network", _everywhere, _precisions, found.of_precision),
-    "sampling": Question("Sampling density and masses", _densities, _attentions, found.of_sampling),
-    "operators": Question("Transfer to other Laplacians", _operators, _one, found.of_operators),
-    "redundancy": Question("Redundancy", _where_m_matters, _sizes, found.of_redundancy),
-    "rotation": Question("Rotations", _rotations, _one, found.of_rotation),
-    "models": Question("Model by model", _clouds_and_meshes, _smoothed, found.of_models),
+    "accuracy": Question("Accuracy and time", _everywhere, _all, ({"points": 8192},)),
+    "precision": Question(
+        "Precision of the network", _everywhere, _precisions, ({"precision": "float32"},)
+    ),
+    "sampling": Question(
+        "Sampling density and masses",
+        _densities,
+        _attentions,
+        ({"sampling": "uniform"}, {"attention": found.AWARE}),
+    ),
+    "operators": Question(
+        "Transfer to other Laplacians", _operators, _one, ({"operator": found.CLOUD},)
+    ),
+    "redundancy": Question("Redundancy", _where_m_matters, _sizes),
+    "rotation": Question("Rotations", _rotations, _one),
+    "models": Question("Model by model", _clouds_and_meshes, _smoothed),
 }

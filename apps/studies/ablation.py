@@ -1,10 +1,11 @@
 """Train variants of a tiny network under one protocol, and measure them on the same clouds.
 
-    python apps/ablate_neo.py CORPUS VALIDATION --out OUT --data FOLDER_OF_MESHES
+    python apps/studies/run.py ablation OUT CORPUS VALIDATION --data FOLDER_OF_MESHES
 
 Every variant sees the same samples in the same order. They are measured on held-out samples and on
-sampled real meshes, uniform and crowded around one spot; the answers are OUT/ablation.json, .md
-and .png. What is trained or measured already is not done again: an interrupted run goes on.
+sampled real meshes, uniform and crowded around one spot: mean span error, standard deviation and
+median over the clouds. What is trained or measured already is not done again: an interrupted run
+goes on.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import hashlib
 import json
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -22,12 +23,6 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
-from matplotlib.figure import Figure
-from studies import tables
-from studies.command import exit_code, parser_of
-from studies.shapes import data_folder, shape_at
-from studies.store import Store
-from studies.study import Study, run
 from tqdm import tqdm
 
 from spectra_kit import (
@@ -39,7 +34,6 @@ from spectra_kit import (
     delaunay_laplacian,
     eigensolve,
 )
-from spectra_kit._core.files import atomic_path
 from spectra_kit.eigen.metrics import compare_spectra, span_error, subspace_span_error
 from spectra_kit.errors import DoubtfulSpectrumWarning
 from spectra_kit.geometry import GaussianDensity, sample
@@ -48,6 +42,11 @@ from spectra_kit.neo import NeoConfig, NeoSubspace, load_pretrained, save_weight
 from spectra_kit.neo.train.config import TrainConfig
 from spectra_kit.neo.train.shards import Corpus, open_shards
 from spectra_kit.neo.train.train import train
+from studies.machine import describe_machine
+from studies.report import Table, write_report
+from studies.shapes import data_folder, shape_at
+from studies.store import Record, Store
+from studies.study import Study, run
 
 TINY = NeoConfig(width=64, depth=3, heads=4, head_width=16, latents=32, m=192, waves=32)
 # Name -> what it changes; trained in this order.
@@ -231,7 +230,7 @@ def errors_of(trial: Trial, clouds: Clouds) -> dict[str, Errors]:
     return {result.problem: result.record["errors"] for result in results}
 
 
-def summary(trial: Trial, clouds: Clouds) -> dict[str, object]:
+def summary(trial: Trial, clouds: Clouds) -> Record:
     """Everything that the report says about a variant."""
     network, _, _, digest, record = load_pretrained(trial.weights)
     spans = {
@@ -260,82 +259,35 @@ def summary(trial: Trial, clouds: Clouds) -> dict[str, object]:
     }
 
 
-def paragraphs(done: dict[str, dict], protocol: dict[str, dict]) -> Iterator[str]:
-    """Every study as a Markdown table."""
-    yield "# Ablation"
-    yield "Mean span error ± standard deviation (median). Protocol:"
-    counted = {
-        part: {k: len(v) if isinstance(v, list) else v for k, v in values.items()}
-        for part, values in protocol.items()
+def write(done: dict[str, Record], protocol: dict[str, dict], out: Path) -> None:
+    """Write the tables of what is done: one for each comparison, and a row for each variant."""
+    shown = {"variant": "", "parameters": ",d", "CPU minutes": ".1f"}
+    shown |= {
+        f"{of}: {what}": ".4f" for of in CLOUDS.values() for what in ("mean", "std", "median")
     }
-    yield tables.listed(
-        f"{part}: {', '.join(f'{k} {v}' for k, v in values.items())}"
-        for part, values in counted.items()
-    )
+    tables = []
     for title, names in STUDIES.items():
-        rows = {name: done[name] for name in names if name in done}
-        if len(rows) < 2:
-            continue
-        clouds = [c for c in CLOUDS if all(c in row["span"] for row in rows.values())]
-        head = ["variant", "parameters", "CPU minutes", *(CLOUDS[cloud] for cloud in clouds)]
-        lines = []
-        for name, row in rows.items():
-            spent = row["cpu_seconds"]
-            minutes = tables.number(None if spent is None else spent / 60, ".1f")
-            cells = [name, f"{row['parameters']:,}", minutes]
-            for span in (row["span"][cloud] for cloud in clouds):
-                cells.append(f"{span['mean']:.4f} ± {span['std']:.4f} ({span['median']:.4f})")
-            lines.append(cells)
-        yield f"## {title}"
-        yield tables.table(head, lines)
+        rows = [_line(name, done[name]) for name in names if name in done]
+        if len(rows) > 1:
+            tables.append(Table(title, rows, shown))
+    machine = describe_machine(threads=1)
+    write_report(out, "ablation", [], tables, machine, protocol=protocol, variants=done)
 
 
-def draw(done: dict[str, dict], path: Path) -> None:
-    """Draw a panel for each study, and validation against the time that training took."""
-    studies = {
-        title: [name for name in names if name in done]
-        for title, names in STUDIES.items()
-        if sum(name in done for name in names) > 1
-    }
-    figure = Figure(figsize=(11, 3.3 * (len(studies) // 3 + 1)), layout="constrained", dpi=130)
-    axes = list(figure.subplots(len(studies) // 3 + 1, 3, squeeze=False).flat)
-    for axis, (title, names) in zip(axes, studies.items(), strict=False):
-        for marker, (cloud, label) in zip("osD", CLOUDS.items(), strict=True):
-            shown = [(n, done[n]["span"][cloud]["mean"]) for n in names if cloud in done[n]["span"]]
-            if shown:
-                axis.plot(*zip(*shown, strict=True), marker, label=label)
-        axis.set(title=title, ylabel="mean span error", ylim=(0, None))
-        axis.tick_params(axis="x", rotation=15)
-        axis.margins(x=0.2)
-        axis.grid(axis="y", alpha=0.3)
-    axes[0].legend(fontsize="small")
-    for name, row in done.items():
-        if row["cpu_seconds"] and name in {*STUDIES["Backbone"], *STUDIES["Plane waves"]}:
-            samples, errors = np.array(row["curve"]).T
-            minutes = samples * row["cpu_seconds"] / row["samples"] / 60
-            axes[len(studies)].semilogy(minutes, errors, ".-", label=name)
-    axes[len(studies)].set(title="Equal time", xlabel="CPU minutes", ylabel="validation")
-    axes[len(studies)].legend(fontsize="small")
-    for axis in axes[len(studies) + 1 :]:
-        axis.set_axis_off()
-    with atomic_path(path) as part:
-        figure.savefig(part, format="png")
+def _line(name: str, row: Record) -> Record:
+    spent = row["cpu_seconds"]
+    line = {"variant": name, "parameters": row["parameters"]}
+    line["CPU minutes"] = None if spent is None else spent / 60
+    for cloud, span in row["span"].items():
+        line |= {f"{CLOUDS[cloud]}: {what}": value for what, value in span.items()}
+    return line
 
 
-def write(done: dict[str, dict], protocol: dict[str, dict], out: Path) -> None:
-    """Write the report of what is done."""
-    tables.write_json(out / "ablation.json", {"protocol": protocol, "variants": done})
-    tables.write_markdown(out / "ablation.md", paragraphs(done, protocol))
-    if any(sum(name in done for name in names) > 1 for names in STUDIES.values()):
-        draw(done, out / "ablation.png")
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = parser_of("ablate_neo.py", __doc__)
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the study."""
     add = parser.add_argument
     add("corpus", type=Path, help="folder of shards")
     add("validation", type=Path, help="folder of shards, other samples")
-    add("--out", type=Path, required=True)
     add("--data", type=Path, default=data_folder("ood_public"), help="folder of meshes")
     add("--only", nargs="+", choices=VARIANTS, metavar="VARIANT", help=", ".join(VARIANTS))
     add("--samples", type=int, default=3000, help="to train on, in all (%(default)s)")
@@ -345,17 +297,12 @@ def _parser() -> argparse.ArgumentParser:
     add("--held-out", type=int, default=128, help="samples to measure on (%(default)s)")
     add("--sampled", type=int, default=2048, help="points on each real mesh (%(default)s)")
     add("--limit", type=int, help="use the first meshes alone")
-    return parser
 
 
-def main(argv: Sequence[str] | None = None, base: NeoConfig = TINY) -> int:
-    """Train, measure and report; return 0, or 2 where arguments or files do not fit."""
-    args = _parser().parse_args(argv)
+def measure(args: argparse.Namespace) -> None:
+    """Train, measure and report."""
     torch.set_num_threads(1)
-    return exit_code(lambda: _run(args, base))
-
-
-def _run(args: argparse.Namespace, base: NeoConfig) -> None:
+    base = TINY
     corpus, validation = open_shards(args.corpus), open_shards(args.validation)
     files = sorted(args.data.iterdir()) if args.data else []
     meshes = [file for file in files if file.suffix.lower() in READERS][: args.limit]
@@ -391,7 +338,3 @@ def _run(args: argparse.Namespace, base: NeoConfig) -> None:
         print(f"{name}: span error {spans}", flush=True)
         protocol = {"network": asdict(base), "training": same, "clouds": clouds.inputs}
         write(done, protocol, args.out)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
