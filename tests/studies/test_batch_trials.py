@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import creature, data_folder
+from studies import run as command
+from studies.batch import command as app
 from studies.batch.shapes import write_pool, write_sizes
 from studies.batch.trials import TRIALS, Setting, equal
 
@@ -61,15 +63,14 @@ def test_shapes_of_the_trials_are_real_and_of_all_sizes(tmp_path):
     np.testing.assert_allclose(sizes, np.geomspace(3000, 135_000, 3), rtol=0.1)
 
 
-def test_the_report_is_not_made_twice(setting, tmp_path, monkeypatch, capsys):
-    import benchmark_batch as app
-
+def test_a_trial_is_not_made_twice(setting, tmp_path, monkeypatch, capsys):
     calls = []
     monkeypatch.setitem(TRIALS, "speed", lambda setting: calls.append(1) or {"computed": 4})
     monkeypatch.setattr(app, "write_pool", lambda *_: setting.shapes)
-    monkeypatch.setattr(app, "data_folder", lambda name: tmp_path)
+    monkeypatch.setenv("SPECTRA_KIT_DATA", str(tmp_path))
     for _ in range(2):
-        assert app.main([str(tmp_path), "--trials", "speed", "--shapes", "4"]) == 0
+        assert command.main(["batch", str(tmp_path), "--trials", "speed", "--shapes", "4"]) == 0
     assert calls == [1]
-    assert "computed: 4" in capsys.readouterr().out
-    assert json.loads((tmp_path / "report.json").read_text())["speed"]["asked"]["shapes"] == 4
+    assert "computed |     4" in capsys.readouterr().out
+    record = json.loads((tmp_path / "batch.json").read_text())
+    assert record["trials"]["speed"]["asked"]["shapes"] == 4

@@ -1,16 +1,16 @@
-"""The benchmark of distances end to end on a mesh of our own, and what its tables say."""
+"""The study of distances end to end on a mesh of our own, and what its tables say."""
 
 import dataclasses
-import re
+import json
 
-import benchmark_geodesics as app
 import numpy as np
 import pytest
 from conftest import creature
+from studies import run as command
 from studies import store
+from studies.geodesics import command as app
 from studies.geodesics import contenders as who
-from studies.geodesics.report import meshes, write_race
-from studies.geodesics.studies import (
+from studies.geodesics.distances import (
     EIGENSOLVERS,
     Accuracy,
     Exact,
@@ -18,7 +18,6 @@ from studies.geodesics.studies import (
     Times,
     relative_errors,
 )
-from studies.machine import describe_machine
 from studies.shapes import Shape, shape_at
 from studies.store import Store
 from studies.study import Result, run
@@ -30,10 +29,10 @@ from spectra_kit.neo import NeoConfig, NeoNetwork, save_weights
 
 QUICK = ["--quick", "--repeats", "1", "--sources", "2", "--exact-sources", "2", "--warm", "2"]
 QUICK += ["--sphere", "2", "3"]
-N = 500
+N = 400
 
 
-def studies(folder, shapes):
+def studies_of(folder, shapes):
     """Those of the command, on the same meshes with the same options."""
     places = {"folder": folder, "problems": shapes}
     modes, exact = Modes(**places), Exact(**places, count=2)
@@ -43,20 +42,20 @@ def studies(folder, shapes):
 
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory):
-    """The folder of the command, its report, and the mesh."""
+    """The folder of the command, its tables, and the mesh."""
     folder = tmp_path_factory.mktemp("geodesics")
     path = folder / "animal.npz"
     write(creature(N, seed=0), path)
     out = folder / "out"
-    assert app.main([str(out), "--meshes", str(path), *QUICK]) == 0
-    return out, (out / "report.md").read_text(), shape_at(path)
+    assert command.main(["geodesics", str(out), "--meshes", str(path), *QUICK]) == 0
+    return out, json.loads((out / "geodesics.json").read_text())["tables"], shape_at(path)
 
 
 @pytest.fixture(scope="module")
 def accuracy(measured):
     """Its errors, from the store."""
     out, _, shape = measured
-    results = run(studies(out, [shape])[2], Store(out), jobs=0)
+    results = run(studies_of(out, [shape])[2], Store(out), jobs=0)
     return {result.contender: result.record for result in results}
 
 
@@ -64,7 +63,7 @@ def accuracy(measured):
 
 
 def test_everything_is_measured_of_every_contender(measured):
-    out, _, _ = measured
+    out, tables, _ = measured
     records = Store(out)._records.values()
     assert {record["status"] for record in records} == {"ok"}
     for study, names in (("accuracy", who.CONTENDERS), ("modes", EIGENSOLVERS)):
@@ -76,34 +75,17 @@ def test_everything_is_measured_of_every_contender(measured):
         stages = sum(record["stages"].values())
         # Stages that run side by side, and rounding, aside.
         assert stages <= record["seconds"] * 1.05 + 1e-3, record["contender"]
+    assert [row["solver"] for row in tables["Seconds to the first field"]] == [*who.CONTENDERS]
+    rates = {row["solver"]: row["rate"] for row in tables["The unit sphere"]}
+    assert all(0.5 < rate < 3 for rate in rates.values())
 
 
-def test_a_race_is_told_in_one_table(tmp_path):
-    path = tmp_path / "animal.npz"
-    write(creature(N, seed=0), path)
-    assert app.main([str(tmp_path / "out"), "--race", "--meshes", str(path), *QUICK]) == 0
-    text = (tmp_path / "out" / "race.md").read_text()
-    [row, *_] = race_table(text)
-    assert row[0] == "animal (500)"
-    records = Store(tmp_path / "out")._records.values()
-    ours, plain = (
-        next(
-            r["seconds"]
-            for r in records
-            if r["study"] == "times" and r["contender"] == name and len(r["iterations"]) == 1
-        )
-        for name in (who.UNAIDED, who.PLAIN)
-    )
-    assert row[7] == f"{plain / ours:.2f}"
+def line(results, name, mesh="easy"):
+    rows = app.told(results, sources=2)
+    return next(row for row in rows if (row["solver"], row["mesh"]) == (name, mesh))
 
 
-def race_table(text):
-    """The cells of the first table, a list for each line."""
-    lines = text.split("## Seconds (wall)")[1].split("##")[0].strip().splitlines()[2:]
-    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
-
-
-def test_a_race_has_a_mean_and_a_worst_only_of_what_solved_every_mesh(tmp_path):
+def test_a_race_has_a_mean_and_a_worst_only_of_what_solved_every_mesh():
     shapes = [Shape(name, sphere(subdivisions=1).geometry) for name in ("easy", "hard")]
 
     def told(*seconds):
@@ -113,25 +95,30 @@ def test_a_race_has_a_mean_and_a_worst_only_of_what_solved_every_mesh(tmp_path):
                 name, shape, 0, {"status": "ok" if s else "failed"} | ({"seconds": s} if s else {})
             )
             for shape, mesh in zip(shapes, seconds, strict=True)
-            for name, s in zip((who.DIRECT, *who.RACE), (None, *mesh), strict=True)
+            for name, s in zip(who.RACE, mesh, strict=True)
         ]
 
-    studies = {
-        "accuracy": told([None] * 3, [None] * 3),
+    race = {
         "first": told((2.0, 4.0, 6.0), (1.0, 8.0, 12.0)),
         "many": told((1.0, 3.0, 5.0), (1.0, None, 4.0)),
     }
-    text = write_race(tmp_path, studies, describe_machine(), repeats=1, sources=2)
-    easy, hard, mean, worst = (line[7:] for line in race_table(text))
-    assert easy == ["2.00", "3.00", "3.00", "5.00"]
-    assert hard == ["8.00", "12.00", "-", "4.00"]
-    assert mean == ["4.00", "6.00", "-", "4.47"]
-    assert worst == ["2.00", "3.00", "-", "4.00"]
+    ratios = ("times ours", "many: times ours")
+    assert [line(race, who.PLAIN)[name] for name in ratios] == [2, 3]
+    assert [line(race, who.PLAIN, "hard")[name] for name in ratios] == [8, None]
+    assert [line(race, who.ROBUST, "hard")[name] for name in ratios] == [12, 4]
+    over = {
+        (row["solver"], row["figure"]): (row["mean"], row["worst"], row["on"])
+        for row in app.over_meshes(app.told(race, sources=2))
+    }
+    assert over[who.PLAIN, ratios[0]] == (4, 2, "easy")
+    assert over[who.ROBUST, ratios[0]] == (6, 3, "easy")
+    assert over[who.PLAIN, ratios[1]] == (None, 3, "easy")
+    assert over[who.ROBUST, ratios[1]] == (pytest.approx(20**0.5), 4, "hard")
 
 
 def test_numbers_are_those_of_the_library(measured, accuracy):
     out, _, shape = measured
-    sources, distances = studies(out, [shape])[1].distances(shape)
+    sources, distances = studies_of(out, [shape])[1].distances(shape)
     field, exact = HeatGeodesics(shape.mesh).distance(sources[0]), distances[0]
     np.testing.assert_array_equal(exact, exact_distances(shape.mesh, sources[0]))
     away = np.arange(N) != sources[0]
@@ -152,21 +139,17 @@ def test_solvers_agree_and_modes_save_iterations(accuracy):
     assert most[who.DIRECT] == [None, None]
 
 
-def test_tables_are_computed_from_the_records(measured, accuracy, capsys):
-    _, report, _ = measured
-    assert "the seconds are not comparable" in report
+def test_tables_are_computed_from_the_records(measured, accuracy):
+    _, tables, _ = measured
+    rows = {row["solver"]: row for row in tables["Iterations, and errors against exact distances"]}
     middle = {name: np.median(accuracy[name]["iterations"]) for name in (who.ICPCG, ADDITIVE)}
-    for name in middle:
-        count, saved = re.search(rf"\| {name} +\| +(\d+) \(([\d.]+)\) \|", report).groups()
-        assert int(count) == round(middle[name])
-        assert float(saved) == pytest.approx(middle[who.ICPCG] / middle[name], abs=0.006)
+    for name, count in middle.items():
+        assert rows[name]["iterations"] == count
+        assert rows[name]["fewer"] == pytest.approx(middle[who.ICPCG] / count)
     means = [
         np.mean([e["mean"] for e in accuracy[name]["errors"]]) for name in (who.DIRECT, who.ROBUST)
     ]
-    worst = re.search(r"mean error over that of potpourri3d +\| +([\d.]+) \|", report)[1]
-    assert float(worst) == pytest.approx(means[0] / means[1], abs=6e-4)
-    # No mesh is large.
-    assert re.search(r"first field, 100,000 vertices or more +\| +- \|", report)
+    assert rows[who.DIRECT]["over robust"] == pytest.approx(means[0] / means[1])
 
 
 ADDITIVE = "additive, 96 exact modes"
@@ -177,7 +160,7 @@ ADDITIVE = "additive, 96 exact modes"
 
 def test_what_lacks_modes_or_truth_is_left_out(tmp_path):
     shape = Shape("ball", sphere(subdivisions=1).geometry)
-    _, exact, accuracy, _ = studies(tmp_path, [shape])
+    _, exact, accuracy, _ = studies_of(tmp_path, [shape])
     assert accuracy.excuse(ADDITIVE, shape, []) == "there are no exact modes"
     assert accuracy.excuse(who.DIRECT, shape, []) == "there are no exact distances"
     (found,) = run(exact, Store(tmp_path), jobs=0)
@@ -198,7 +181,7 @@ def test_what_lacks_modes_or_truth_is_left_out(tmp_path):
 )
 def test_what_changes_makes_another_key(tmp_path, monkeypatch, changed, kept):
     shape = Shape("ball", sphere(subdivisions=1).geometry)
-    _, exact, accuracy, times = studies(tmp_path, [shape])
+    _, exact, accuracy, times = studies_of(tmp_path, [shape])
     name = "additive, 96 NEO modes"
 
     def keys(shape):
@@ -228,7 +211,7 @@ def test_errors_leave_out_sources_and_what_is_out_of_reach():
 
 
 def test_the_spectrum_is_paid_by_those_who_use_it():
-    shape = Shape("ball", sphere(subdivisions=1).geometry)
+    shape = Shape("easy", sphere(subdivisions=1).geometry)
     modes = [Result("exact", shape, 0, {"status": "ok", "seconds": 5.0})]
     for name, status, solver, paid in (
         (who.AUTOMATIC, "ok", "two-level", 7.0),
@@ -237,6 +220,4 @@ def test_the_spectrum_is_paid_by_those_who_use_it():
         (who.ICPCG, "failed", "", None),
     ):
         first = [Result(name, shape, 0, {"status": status, "seconds": 2.0, "solver": solver})]
-        (mesh,) = meshes({"modes": modes, "first": first})
-        assert mesh.seconds_in_all(name) == paid
-        assert mesh.title == "ball (42)"
+        assert line({"modes": modes, "first": first}, name)["in all"] == paid

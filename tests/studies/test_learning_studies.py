@@ -1,26 +1,28 @@
-"""The studies of classification and segmentation: protocol, marks, memory, report and apps."""
+"""The studies of classification and segmentation: protocol, marks, memory and commands."""
 
 import json
 from dataclasses import replace
 
-import classify_shapes
 import numpy as np
 import pytest
-import segment_shapes
-from studies.learning import classification, segmented_report
+from studies import run as command
+from studies.learning import classification
 from studies.learning.classification import (
+    FREE,
+    TRAINED,
     Draws,
     Row,
     Vectors,
     View,
     classify_all,
     drawn,
+    rows_named,
     shape_of,
 )
-from studies.learning.classified_report import summarize
+from studies.learning.classify import summarize
 from studies.learning.labelled import SEGMENTED, demo_set, labelled_set, read_set
-from studies.learning.rows import FREE, TRAINED, parts_rows, rows_named
-from studies.learning.segmentation import COPIES, Parts, PartsRow, marks, segment_all
+from studies.learning.segment import held_out
+from studies.learning.segmentation import COPIES, Parts, PartsRow, marks, parts_rows, segment_all
 
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 
@@ -127,7 +129,7 @@ def test_classes_are_told_by_heads_also_turned_and_remembered(shapes, tmp_path, 
     row = Row(MESH, "heat", "nearest", 3)
     study = draws_of(shapes, tmp_path, row)
     results = classify_all(study, jobs=0)
-    cell = summarize(results)["heat", "nearest", "mesh, exact"][3]
+    [cell] = summarize(results)
     assert cell["draws"] == 6
     assert cell["mean"] > 80
     # Turned meshes have the same spectra, but for rounding.
@@ -164,7 +166,7 @@ def test_a_network_learns_from_clouds(shapes, tmp_path, monkeypatch):
     study = draws_of(shapes, tmp_path, row)
     results = classify_all(study, jobs=0)
     assert [len(r.record["right"]) for r in results] == [1, 1]
-    cell = summarize(results)["coordinates", "pointnet", "cloud, predicted"][4]
+    [cell] = summarize(results)
     assert cell["mean"] > 60
     assert cell["epochs"] == 300 // (4 * 3 * (1 + classification.COPIES))
 
@@ -319,33 +321,33 @@ def test_more_shapes_than_there_are(shapes, tmp_path):
         assert {sources.sources[i] for i in tested} == {"abc"[seed % 3]}
         rows = [PartsRow("demo", MESH, "coordinates", "diffusion")]
         of = replace(held, sets={"demo": sources}, problems=[seed], contenders=rows)
-        told = f"held out of demo by seed {seed}: all of `{'abc'[seed % 3]}`"
-        assert told in segmented_report.write_report([], of).read_text()
+        assert held_out(of) == [{"set": "demo", "seed": seed, "source": "abc"[seed % 3]}]
         assert set(known) | set(tested) == set(shapes.train)
         assert not set(known) & set(tested)
 
 
-# --- apps ---
+# --- commands ---
 
 
 @pytest.mark.slow
-def test_both_apps_write_their_tables(tmp_path, capsys):
-    out = tmp_path / "classes"
-    row = "heat, nearest; mesh, exact"
-    arguments = [str(out), "--set", "demo", "--rows", row, "--shots", "2", "--seeds", "1"]
-    code = classify_shapes.main([*arguments, "--draws", "2", "--jobs", "1", "--no-pictures"])
-    assert code == 0
-    assert row in capsys.readouterr().out
-    assert json.loads((out / "classification.json").read_text())["rows"][0]["view"] == "mesh, exact"
-    out = tmp_path / "parts"
-    row = "demo: coordinates, diffusion; mesh, exact; all; upright"
-    arguments = [str(out), "--set", "demo", "--rows", row, "--epochs", "1", "--jobs", "1"]
-    assert segment_shapes.main([*arguments, "--no-pictures"]) == 0
-    assert row in capsys.readouterr().out
+def test_both_commands_write_their_tables(tmp_path):
+    out, row = tmp_path / "classes", "heat, nearest; mesh, exact"
+    words = ["classification", str(out), "--set", "demo", "--rows", row, "--shots", "2"]
+    words += ["--seeds", "1", "--draws", "2", "--jobs", "0"]
+    assert command.main(words) == 0
+    tables = json.loads((out / "classification.json").read_text())["tables"]
+    [found] = tables["Per cent told right"]
+    assert (found["row"], found["examples"], found["draws"]) == (row, 2, 2)
+    assert all((out / name).stat().st_size > 5000 for name in ("confusion.png", "map.png"))
+    out, row = tmp_path / "parts", "demo: coordinates, diffusion; mesh, exact; all; upright"
+    words = ["segmentation", str(out), "--set", "demo", "--rows", row, "--epochs", "1"]
+    assert command.main([*words, "--jobs", "0", "--no-pictures"]) == 0
+    [found] = json.loads((out / "segmentation.json").read_text())["tables"]["Parts told right"]
+    assert (found["row"], found["seeds"], found["epochs"]) == (row, 1, 1)
     assert (out / "epochs.png").stat().st_size > 1000
 
 
-@pytest.mark.parametrize("app", [classify_shapes, segment_shapes])
-def test_apps_refuse_rows_they_do_not_know(app, tmp_path, capsys):
-    assert app.main([str(tmp_path), "--set", "demo", "--rows", "magic"]) == 2
+@pytest.mark.parametrize("name", ["classification", "segmentation"])
+def test_rows_that_are_not_known_are_refused(name, tmp_path, capsys):
+    assert command.main([name, str(tmp_path), "--set", "demo", "--rows", "magic"]) == 2
     assert "must be of these" in capsys.readouterr().err
