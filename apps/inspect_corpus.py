@@ -15,8 +15,8 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from measure.command import exit_code, parser_of
 from numpy.typing import NDArray
+from studies.command import exit_code, parser_of
 
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import TriangleMesh

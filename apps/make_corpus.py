@@ -13,7 +13,7 @@ from argparse import Namespace, _ActionsContainer
 from collections.abc import Sequence
 from pathlib import Path
 
-from measure.command import exit_code, parser_of
+from studies.command import exit_code, parser_of
 from tqdm import tqdm
 
 from spectra_kit.neo.train.corpus import generate

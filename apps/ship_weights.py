@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from measure.command import exit_code, parser_of
 from safetensors.torch import save_file
+from studies.command import exit_code, parser_of
 
 from spectra_kit._core.files import atomic_path
 from spectra_kit.eigen.subspaces.frame import canonical_frame

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import torch
 from make_corpus import add_corpus_options, corpus_config
-from measure.command import exit_code
+from studies.command import exit_code
 from tqdm import tqdm
 
 from spectra_kit._core.validate import check_count

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from measure.command import exit_code, parser_of
+from studies.command import exit_code, parser_of
 
 from spectra_kit.eigen import Cascade, Neo
 from spectra_kit.eigen.subspaces import AmbientFourier
