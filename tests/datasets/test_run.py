@@ -19,19 +19,16 @@ from conftest import bumpy, creature, moved, refused
 import spectra_kit as sk
 from spectra_kit._core.threads import usable_cores
 from spectra_kit.datasets import (
-    BatchReport,
     DaskEngine,
     Input,
-    Pair,
     Plan,
     SpectrumStore,
     compute_all,
     find_inputs,
-    write_match_table,
     write_table,
 )
 from spectra_kit.datasets.preload import own_device
-from spectra_kit.datasets.spared import Spared
+from spectra_kit.datasets.run import Spared
 from spectra_kit.datasets.table import check_columns
 from spectra_kit.datasets.table import write as write_rows
 from spectra_kit.errors import EngineLostError, InvalidFileError, InvalidInputError, StoreError
@@ -270,16 +267,6 @@ def test_tables_of_other_columns_and_of_nothing(scans, store, tmp_path):
     assert not (tmp_path / "table.csv").exists()
     write_table(tmp_path / "table.csv", compute_all([], store, PLAN))
     assert (tmp_path / "table.csv").read_text().startswith("name,kind,points")
-
-
-def test_reports_of_other_runs_are_refused(scans, store, tmp_path):
-    shapes = compute_all(find_inputs([scans / "bumpy.ply"]), store, PLAN)
-    pair = (Pair(source="a", target="b"), shapes.completed[0][1])
-    pairs = BatchReport(completed=(pair,), failed=(), seconds=0.0)
-    for table, report, made_by in ((write_table, pairs, "compute_all"),
-                                   (write_match_table, shapes, "match_all")):  # fmt: skip
-        refused("report", f"be what `{made_by}` returned", table, tmp_path / "table.csv", report)
-    assert not (tmp_path / "table.csv").exists()
 
 
 # --- workers ---

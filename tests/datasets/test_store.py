@@ -27,9 +27,8 @@ from spectra_kit._sparse.memory import memory_of
 from spectra_kit.catalogue import DESCRIPTORS
 from spectra_kit.datasets import Plan, SpectrumStore, complete
 from spectra_kit.datasets import files as store_files
-from spectra_kit.datasets.completion import known
 from spectra_kit.datasets.plan import NAMES
-from spectra_kit.datasets.together import begin
+from spectra_kit.datasets.shapes import begin, known
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import (
     DamagedEntryWarning,
@@ -605,6 +604,8 @@ def test_a_store_that_may_only_be_read():
         ("seed", "be at least 0", {"seed": -1}),
         ("descriptors", "be named once each", {"descriptors": ("hks", "dna", "hks")}),
         ("operators", "be named once each", {"operators": ("gradient", "gradient")}),
+        ("descriptors", "be among hks, wks, gps, dna, got heat", {"descriptors": ("hks", "heat")}),
+        ("operators", "be among stiffness, gradient, got mass", {"operators": ("mass",)}),
     ],
 )
 def test_plans_that_cannot_be(argument, expected, options):
@@ -809,7 +810,7 @@ def test_a_file_out_of_reach_fails_when_it_is_its_turn(store, tmp_path, monkeypa
 def test_a_defect_shows_where_shapes_go_together(store, tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
     write(creature(520), tmp_path / "a.off")
-    monkeypatch.setattr("spectra_kit.datasets.together.read_file", lambda *_: 1 / 0)
+    monkeypatch.setattr("spectra_kit.datasets.shapes.read_file", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         list(begin(store, [("a", tmp_path / "a.off")], Plan(k=6, solver=Together())))
 
