@@ -99,8 +99,7 @@ def find_inputs(sources: Sequence[str | os.PathLike[str]]) -> list[Input]:
     InvalidInputError
         If a source names nothing, or two files have one name.
     InvalidFileError
-        If a manifest is not there, or has no column ``file``, or an empty cell in it; or if two of
-        its columns have one name, or one has none.
+        If a manifest is not there, or is no table with a column ``file``.
 
     Examples
     --------
@@ -147,8 +146,7 @@ def find_pairs(
     InvalidInputError
         If the store has fewer than two shapes, or several plans and none is given.
     InvalidFileError
-        If the file is not there, or has no such columns, or an empty cell in them; or two columns
-        of one name, or one of none.
+        If the file is not there, or is no table with such columns.
 
     Examples
     --------

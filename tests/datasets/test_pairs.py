@@ -10,7 +10,6 @@ from conftest import bumpy, creature, refused, two_parts
 
 import spectra_kit as sk
 from spectra_kit.datasets import (
-    DaskEngine,
     Input,
     Matching,
     Pair,
@@ -336,30 +335,16 @@ def test_a_table_has_a_row_for_each_pair(store, tmp_path):
             tmp_path / "maps.csv", match_all(taken, store, matching=QUICK))  # fmt: skip
 
 
-@pytest.mark.slow
-def test_workers_end_with_the_bytes_of_one_process(mapped, solved, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    pairs = [*find_pairs("all", mapped), Pair(source="animal", target="nobody")]
-    alone = match_all(pairs, mapped, matching=QUICK)
-    other = copy_of(solved, "other")  # a path that workers in another folder would not find
-    report = match_all(pairs, other, matching=QUICK, engine=DaskEngine(nworkers=2))
-    assert content(mapped) == content(other)
-    assert [one.name for one, _ in report.completed] == [one.name for one, _ in alone.completed]
-    assert [str(x.error) for x in report.failed] == [str(x.error) for x in alone.failed]
-    assert match_all(pairs, other, matching=QUICK, engine=DaskEngine(nworkers=1)).computed == 0
-
-
-def test_pairs_whose_names_sound_alike_are_two(tmp_path):
-    store = SpectrumStore(tmp_path / "store")
-    for seed, name in enumerate(("a", "a to b", "b to c", "c")):
-        write(creature(520, seed=seed), tmp_path / "shape.off")
-        complete(store, name, tmp_path / "shape.off", PLAN)
+def test_pairs_whose_names_sound_alike_are_two(mapped, shapes):
+    files = {"a": "animal", "b to c": "image", "a to b": "image", "c": "shuffled"}
+    for name, file in files.items():
+        complete(mapped, name, shapes[file], PLAN)
     pairs = [Pair(source="a", target="b to c"), Pair(source="a to b", target="c")]
     assert pairs[0].name == pairs[1].name
-    one, other = match_all(pairs, store, matching=QUICK).completed
+    one, other = match_all(pairs, mapped, matching=QUICK).completed
     assert one[1].record.key != other[1].record.key
     for pair, found in (one, other):
-        ends = [store.record(name, PLAN) for name in (pair.source, pair.target)]
+        ends = [mapped.record(name, PLAN) for name in (pair.source, pair.target)]
         assert found.record.key == QUICK.key(*ends)
 
 
