@@ -10,7 +10,6 @@ from conftest import bumpy, creature, refused, two_parts
 
 import spectra_kit as sk
 from spectra_kit.datasets import (
-    DaskEngine,
     Input,
     Matching,
     Pair,
@@ -22,11 +21,10 @@ from spectra_kit.datasets import (
     load_match,
     match_all,
     shard,
-    write_match_table,
+    write_table,
 )
-from spectra_kit.datasets.matched import KEPT, prepared
+from spectra_kit.datasets.pairs import KEPT, in_tiles, prepared
 from spectra_kit.datasets.run import own_order
-from spectra_kit.datasets.run_pairs import in_tiles
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidFileError, InvalidInputError
 from spectra_kit.geometry import TriangleMesh, mirrored, write
 
@@ -70,7 +68,7 @@ def solved(tmp_path_factory, shapes):
 def run(tmp_path_factory, solved):
     """A store with quick maps of all pairs, and the report of the run that made them."""
     store = copy_of(solved, tmp_path_factory.mktemp("run") / "store")
-    return store, match_all(store, find_pairs("all", store), matching=QUICK)
+    return store, match_all(find_pairs("all", store), store, matching=QUICK)
 
 
 def copy_of(store, path):
@@ -101,15 +99,16 @@ def test_maps_are_the_true_ones_and_those_of_match(store):
     ]
     told = []
     prepared.cache_clear()
-    report = match_all(store, pairs, progress=lambda *args: told.append(args))
+    report = match_all(pairs, store, progress=lambda *args: told.append(args))
     assert told == [(1, 3), (2, 3), (3, 3)]
     assert prepared.cache_info().misses == 3  # once each, for two pairs
     assert (report.computed, report.failed, report.replaced) == (3, (), ())
     _, order = shuffled(creature(600), 0)
     truths = [np.arange(600), order, order]
-    for (pair, found), truth, turned in zip(
+    for (pair, done), truth, turned in zip(
         report.completed, truths, (True, False, True), strict=True
     ):
+        found = done.record
         kept = load_match(store, found.key)
         assert kept.mirrored == found.mirrored == turned
         assert (kept.point_map == truth).mean() > 0.99, pair.name
@@ -122,7 +121,7 @@ def test_a_restored_match_is_the_match(run):
     options = QUICK.options
     store, report = run
     (_, found), *_ = report.completed
-    kept = load_match(store, found.key)
+    kept = load_match(store, found.record.key)
     a, b = (store.record(name, PLAN) for name in ("animal", "image"))
     sides = [sk.prepare(store.load(one.spectrum), store.shape(one.shape)) for one in (a, b)]
     expected = sk.match(*sides, options=options)
@@ -142,16 +141,16 @@ def test_a_second_run_searches_for_nothing_and_writes_nothing(run, mapped):
     store, first = mapped, run[1]
     pairs = find_pairs("all", store)
     before = {entry.path: entry.path.stat().st_mtime_ns for entry in store.entries()}
-    again = match_all(store, pairs, matching=QUICK)
+    again = match_all(pairs, store, matching=QUICK)
     assert (first.computed, again.computed) == (3, 0)
     assert before == {entry.path: entry.path.stat().st_mtime_ns for entry in store.entries()}
     for (_, one), (_, other) in zip(first.completed, again.completed, strict=True):
-        assert (one.key, one.score, one.doubts) == (other.key, other.score, other.doubts)
+        assert one.record == other.record
     # Modes that are not there decide nothing; options do.
     more = Matching(k=90, options=QUICK.options)
-    assert match_all(store, pairs, matching=more).computed == 0
+    assert match_all(pairs, store, matching=more).computed == 0
     rigid = Matching(elastic=False, options=QUICK.options)
-    assert match_all(store, pairs[:1], matching=rigid).computed == 1
+    assert match_all(pairs[:1], store, matching=rigid).computed == 1
 
 
 def test_a_run_that_was_interrupted_goes_on(store):
@@ -164,10 +163,10 @@ def test_a_run_that_was_interrupted_goes_on(store):
 
     pairs = find_pairs("all", store)[:2]
     with pytest.raises(StoppedError):
-        match_all(store, pairs, matching=QUICK, progress=stop)
+        match_all(pairs, store, matching=QUICK, progress=stop)
     assert len(content(store)) == 1
     before = content(store)
-    assert match_all(store, pairs, matching=QUICK).computed == 1
+    assert match_all(pairs, store, matching=QUICK).computed == 1
     assert before.items() <= content(store).items()
 
 
@@ -180,7 +179,7 @@ def test_a_damaged_map_is_told_of_and_made_again(mapped):
     with pytest.raises(InvalidFileError, match="verify --remove"):
         load_match(store, one.key)
     assert [damage.path for damage in store.verify()] == [one.path, other.path]
-    report = match_all(store, pairs, matching=QUICK)
+    report = match_all(pairs, store, matching=QUICK)
     assert report.computed == 2
     assert all(any(str(entry.path) in text for text in report.replaced) for entry in (one, other))
     assert content(store) == whole
@@ -194,7 +193,7 @@ def test_pairs_that_fail_are_told_and_the_rest_goes_on(tmp_path, shapes):
         Pair(source="animal", target="image"),
         Pair(source="nobody", target="image"),
     ]
-    report = match_all(store, pairs, matching=QUICK)
+    report = match_all(pairs, store, matching=QUICK)
     assert [pair.name for pair, _ in report.completed] == ["animal to image"]
     reasons = {failed.input.name: str(failed.error) for failed in report.failed}
     assert [*reasons] == ["animal to parts", "animal to lion", "nobody to image"]
@@ -203,7 +202,7 @@ def test_pairs_that_fail_are_told_and_the_rest_goes_on(tmp_path, shapes):
     assert reasons["nobody to image"].startswith("`source` must be the name of a shape")
     for pair in pairs[:2]:
         with pytest.raises(InvalidInputError):
-            match_all(store, [pair], strict=True)
+            match_all([pair], store, strict=True)
 
 
 def test_shapes_that_are_gone_or_damaged_fail_by_themselves(store):
@@ -212,11 +211,11 @@ def test_shapes_that_are_gone_or_damaged_fail_by_themselves(store):
     (entry,) = (one for one in store.entries("spectra") if one.key == spectrum)
     entry.path.write_bytes(b"")
     pairs = [Pair(source="animal", target=name) for name in ("image", "shuffled")]
-    report = match_all(store, pairs, matching=QUICK)
+    report = match_all(pairs, store, matching=QUICK)
     assert [pair.target for pair, _ in report.completed] == ["shuffled"]
     assert isinstance(report.failed[0].error, InvalidFileError)
     entry.path.unlink()
-    (failed,) = match_all(store, pairs, matching=QUICK).failed
+    (failed,) = match_all(pairs, store, matching=QUICK).failed
     assert str(failed.error).startswith("`store` must hold the spectrum of each shape")
 
 
@@ -224,9 +223,9 @@ def test_unlike_shapes_are_not_convincing_and_no_warning_is_given(tmp_path, shap
     write(bumpy(), tmp_path / "bumpy.off")
     store = filled(tmp_path / "store", {**shapes, "bumpy": tmp_path / "bumpy.off"},
                    ("animal", "bumpy"))  # fmt: skip
-    (_, found), *_ = match_all(store, find_pairs("all", store), matching=QUICK).completed
-    assert not found.convincing
-    assert {"score", "coverage"} & set(found.doubts)
+    (_, found), *_ = match_all(find_pairs("all", store), store, matching=QUICK).completed
+    assert not found.record.convincing
+    assert {"score", "coverage"} & set(found.record.doubts)
     sides = [sk.read(path) for path in (shapes["animal"], tmp_path / "bumpy.off")]
     with pytest.warns(DoubtfulMatchWarning):
         sk.match(*(sk.prepare(sk.spectrum(one, 60), one) for one in sides), options=QUICK.options)
@@ -237,9 +236,9 @@ def test_several_plans_in_one_store(store, shapes):
     refused("store", "hold spectra of one plan, or be told of which", find_pairs, "all", store)
     pairs = find_pairs("all", store, Plan(k=40))
     assert [pair.name for pair in pairs] == ["animal to image"]
-    refused("store", "hold spectra of one plan", match_all, store, pairs)
-    (_, found), *_ = match_all(store, pairs, Plan(k=40), matching=QUICK).completed
-    assert len(load_match(store, found.key).functional_map) == 40
+    refused("store", "hold spectra of one plan", match_all, pairs, store)
+    (_, found), *_ = match_all(pairs, store, Plan(k=40), matching=QUICK).completed
+    assert len(load_match(store, found.record.key).functional_map) == 40
 
 
 def test_maps_go_with_the_spectra_that_they_join(mapped, monkeypatch):
@@ -253,7 +252,7 @@ def test_maps_go_with_the_spectra_that_they_join(mapped, monkeypatch):
     assert len(gone) == 2
     with monkeypatch.context() as other:
         other.setattr("spectra_kit.datasets.store.VERSION", "0.0.1")
-        match_all(store, pairs[1:2], matching=QUICK)
+        match_all(pairs[1:2], store, matching=QUICK)
     assert len(content(store)) == 2
     assert len(store.clean()) == 1
 
@@ -292,7 +291,7 @@ def test_tables_that_are_none_of_pairs(store, tmp_path, text, problem):
 def test_pairs_that_cannot_be(store, tmp_path):
     (tmp_path / "pairs.csv").write_text("source,target\na,b\nb,a\na,b\n")
     twice = find_pairs(tmp_path / "pairs.csv", store)
-    refused("pairs", "have names of their own, got 1", match_all, store, twice)
+    refused("pairs", "have names of their own, got 1", match_all, twice, store)
     with pytest.raises(InvalidFileError, match="there is no such file"):
         find_pairs(tmp_path / "none.csv", store)
     empty = SpectrumStore(tmp_path / "empty")
@@ -308,7 +307,7 @@ def test_pairs_that_cannot_be(store, tmp_path):
 def test_tiles_let_shapes_beprepared_once_for_many_pairs(order):
     names = [f"{i:02}" for i in range(20)]
     pairs = [Pair(source=a, target=b) for a in names for b in names if a < b]
-    ordered = list(in_tiles(pairs, order))
+    ordered = [pairs[i] for i in in_tiles(pairs, range(len(pairs)), order)]
     assert sorted(pair.name for pair in ordered) == sorted(pair.name for pair in pairs)
     kept, prepared = [], 0
     for pair in ordered:
@@ -320,47 +319,33 @@ def test_tiles_let_shapes_beprepared_once_for_many_pairs(order):
 
 def test_a_table_has_a_row_for_each_pair(store, tmp_path):
     pairs = [Pair(source="animal", target="image", columns={"age": "3"})]
-    report = match_all(store, pairs, matching=QUICK)
-    write_match_table(tmp_path / "maps.csv", report)
+    report = match_all(pairs, store, matching=QUICK)
+    write_table(tmp_path / "maps.csv", report)
     with (tmp_path / "maps.csv").open(newline="") as file:
         (row,) = csv.DictReader(file)
     (_, found), *_ = report.completed
     assert [*row][:3] == ["source", "target", "age"]
     assert (row["source"], row["target"], row["age"]) == ("animal", "image", "3")
     for name in ("score", "margin", "mirror_margin", "coverage", "orientation"):
-        assert float(row[name]) == getattr(found, name)
-    assert (row["mirrored"], row["convincing"]) == ("True", str(found.convincing))
+        assert float(row[name]) == getattr(found.record, name)
+    assert (row["mirrored"], row["convincing"]) == ("True", str(found.record.convincing))
     assert load_match(store, row["map"]).mirrored
     taken = [Pair(source="animal", target="image", columns={"score": "3"})]
-    refused("columns", "not have the names of the table's own", write_match_table,
-            tmp_path / "maps.csv", match_all(store, taken, matching=QUICK))  # fmt: skip
+    refused("columns", "not have the names of the table's own", write_table,
+            tmp_path / "maps.csv", match_all(taken, store, matching=QUICK))  # fmt: skip
 
 
-@pytest.mark.slow
-def test_workers_end_with_the_bytes_of_one_process(mapped, solved, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    pairs = [*find_pairs("all", mapped), Pair(source="animal", target="nobody")]
-    alone = match_all(mapped, pairs, matching=QUICK)
-    other = copy_of(solved, "other")  # a path that workers in another folder would not find
-    report = match_all(other, pairs, matching=QUICK, engine=DaskEngine(nworkers=2))
-    assert content(mapped) == content(other)
-    assert [one.name for one, _ in report.completed] == [one.name for one, _ in alone.completed]
-    assert [str(x.error) for x in report.failed] == [str(x.error) for x in alone.failed]
-    assert match_all(other, pairs, matching=QUICK, engine=DaskEngine(nworkers=1)).computed == 0
-
-
-def test_pairs_whose_names_sound_alike_are_two(tmp_path):
-    store = SpectrumStore(tmp_path / "store")
-    for seed, name in enumerate(("a", "a to b", "b to c", "c")):
-        write(creature(520, seed=seed), tmp_path / "shape.off")
-        complete(store, name, tmp_path / "shape.off", PLAN)
+def test_pairs_whose_names_sound_alike_are_two(mapped, shapes):
+    files = {"a": "animal", "b to c": "image", "a to b": "image", "c": "shuffled"}
+    for name, file in files.items():
+        complete(mapped, name, shapes[file], PLAN)
     pairs = [Pair(source="a", target="b to c"), Pair(source="a to b", target="c")]
     assert pairs[0].name == pairs[1].name
-    one, other = match_all(store, pairs, matching=QUICK).completed
-    assert one[1].key != other[1].key
+    one, other = match_all(pairs, mapped, matching=QUICK).completed
+    assert one[1].record.key != other[1].record.key
     for pair, found in (one, other):
-        ends = [store.record(name, PLAN) for name in (pair.source, pair.target)]
-        assert found.key == QUICK.key(*ends)
+        ends = [mapped.record(name, PLAN) for name in (pair.source, pair.target)]
+        assert found.record.key == QUICK.key(*ends)
 
 
 def test_what_else_a_plan_keeps_makes_no_other_spectra(store, tmp_path):
@@ -368,5 +353,5 @@ def test_what_else_a_plan_keeps_makes_no_other_spectra(store, tmp_path):
         write(store.shape(record.shape), tmp_path / "shape.ply")
         more = replace(PLAN, descriptors=("hks",))
         complete(store, record.name, tmp_path / "shape.ply", more)
-    report = match_all(store, find_pairs("all", store)[:1], matching=QUICK)
+    report = match_all(find_pairs("all", store)[:1], store, matching=QUICK)
     assert len(report.completed) == 1
