@@ -10,7 +10,7 @@ from typing import Any
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.files import atomic_path
-from spectra_kit._core.records import printable
+from spectra_kit._core.shown import printable
 from spectra_kit.datasets.completion import Completed
 from spectra_kit.datasets.inputs import Input, Named, Pair
 from spectra_kit.datasets.run import BatchReport

@@ -175,7 +175,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         **{"doubts": (), "computed": True, "replaced": (), "seconds": 0.1},
     )
     of_pairs = datasets.BatchReport(completed=((pair_of_names, made),), failed=(), seconds=0.1)
-    portrait = show.Portrait(geometry=mesh, labels=halves, lines=("x",))
+    thumbnail = show.Thumbnail(geometry=mesh, labels=halves, lines=("x",))
     quick = maps.MatchOptions(
         **{"orders": 1, "growing": 8, "kept": ((8, 2),), "turns": 1, "placed": 1},
         **{"finalists": 1, "rounds": 1, "bends": 1, "first_bends": 1},
@@ -206,7 +206,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
             datasets.Matching(),
             made,
         ),
-        *(dataset, recipe, classifier, segmenter, index, portrait, learn.Training(epochs=1)),
+        *(dataset, recipe, classifier, segmenter, index, thumbnail, learn.Training(epochs=1)),
         *(show.View(), sk.RayleighRitz(), geodesics.Automatic(), given, map_errors),
         *(metrics.compare_spectra(spectrum, spectrum), geometry.repair(mesh)),
         *(sk.ModeCount(verified=3, radius=0.1, floor=2.0), maps.Truth(same, same)),
@@ -278,7 +278,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("items", [dataset[0]]),
         ("item", dataset[0]),
         ("load", geometry.read),
-        ("portraits", [portrait]),
+        ("thumbnails", [thumbnail]),
         # Distances and maps.
         ("distance", field.distance),
         ("DistanceField.sources", field.sources),
@@ -441,7 +441,7 @@ ALSO = {
     "pareto_front.points": {"array"},
     "write_explorer.names": {"array of U"},
     "Panel.lines": {"array"},
-    "Portrait.lines": {"array"},
+    "Thumbnail.lines": {"array"},
     "ShapeIndex.names": {"array"},
     "ShapeIndex.digests": {"array"},
     "Problem.remedies": {"array"},

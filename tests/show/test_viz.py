@@ -20,7 +20,7 @@ from spectra_kit.errors import InvalidInputError, MissingDependencyError
 from spectra_kit.geometry import PointCloud, TriangleMesh, creature, rectangle, sphere, write
 from spectra_kit.maps import MapErrors
 from spectra_kit.show import Page, Panel, View, drawer
-from spectra_kit.show.pen import short
+from spectra_kit.show.layout import short
 from spectra_kit.show.render import ball_diameter
 
 SHEET = rectangle(n=200).geometry.points
@@ -269,7 +269,7 @@ def test_wide_geometries_stand_in_rows_tall_ones_in_columns(tmp_path):
         panel, style = Panel(values=points[:, 0], limit=1.0), {"columns_named": [*"abc"]}
         path, cloud = tmp_path / "x.png", PointCloud(points * stretch)
         style |= {"rows_named": [*"12345"], "page": Page(dpi=20)}
-        show.plot_panels(path, cloud, [[panel] * 3] * 5, **style)
+        show.plot_panels(cloud, [[panel] * 3] * 5, path=path, **style)
         height, width, _ = page(path).shape
         assert 0.5 < width / height < 2
 
@@ -298,7 +298,7 @@ def test_a_geometry_may_be_a_file_and_so_may_the_picture(tmp_path):
         assert (picture.content or path.read_bytes()).startswith(b"\x89PNG")
     assert show.plot_fields(path=path, geometry=mesh, **options).path == path
     with pytest.raises(InvalidInputError, match="`path` must be a string, path or None, got a Tri"):
-        show.plot_modes(lone, SPECTRUM, lone)
+        show.plot_modes(SPECTRUM, lone, path=lone)
     with pytest.raises(InvalidInputError, match=r"the folder .* does not exist"):
         modes(path=tmp_path / "no" / "modes.png", view=Turned())
 
@@ -449,7 +449,7 @@ def test_pictures_need_no_backend_and_leave_it_as_it_is(tmp_path, backend):
 def test_a_backend_that_was_chosen_stays(tmp_path):
     matplotlib = pytest.importorskip("matplotlib")
     with matplotlib.rc_context({"backend": "svg"}):
-        show.plot_spectrum(tmp_path / "a.png", SPECTRUM)
+        show.plot_spectrum(SPECTRUM, path=tmp_path / "a.png")
         assert matplotlib.rcParams["backend"] == "svg"
 
 

@@ -18,7 +18,7 @@ from spectra_kit.features import (
     wave_kernel_signature,
 )
 from spectra_kit.show import Page, Panel, ParetoPoint, View, pareto_front, plot_pareto
-from spectra_kit.show.axes import LINE_COLOURS
+from spectra_kit.show.layout import LINE_COLOURS
 from spectra_kit.show.signatures import _pictures, draw_curves
 from spectra_kit.show.spectra import spectrum_figure, weyl_law
 

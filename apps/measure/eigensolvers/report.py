@@ -13,10 +13,10 @@ from measure.eigensolvers.studies import FACTOR, KINDS, OPERATOR, SEEN, Solves
 from measure.eigensolvers.summary import LIMITS, Row, Summary, memory, summaries
 from measure.figures import draw_pareto, undominated
 from measure.machine import machine_line
+from measure.plots import ParetoPoint
 from measure.recipes import Recipe
 from measure.store import Record
 from measure.study import Repeats, Result, repeats_of
-from spectra_kit.show import ParetoPoint
 
 Item = TypeVar("Item")
 Name = TypeVar("Name")

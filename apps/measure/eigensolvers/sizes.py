@@ -15,11 +15,11 @@ from measure.eigensolvers.studies import Solves
 from measure.eigensolvers.summary import Row, Summary, summaries
 from measure.figures import ROUNDING, colour, dots, legend, panels, save, undominated
 from measure.paper import SECONDS_NOTE, seconds_told
+from measure.plots import ParetoPoint, pareto_front
 from measure.recipes import Recipe
 from measure.store import Record
 from measure.study import Result, repeats_of
-from spectra_kit.show import ParetoPoint, pareto_front
-from spectra_kit.show.axes import log_ticks
+from spectra_kit.show.layout import log_ticks
 
 _SAME = 1.05  # times closer than this are equal
 _FIGURES = ("seconds", "typical_error")

@@ -14,7 +14,7 @@ from measure.learning.segmentation import COPIES, EMBEDDINGS, NETWORKS, POINTS, 
 from measure.study import Result
 from spectra_kit._core.types import Floats
 from spectra_kit._core.version import VERSION
-from spectra_kit.show import Page, Portrait, plot_portraits
+from spectra_kit.show import Page, Thumbnail, plot_thumbnails
 
 Results = Sequence[Result[PartsRow, int]]
 
@@ -167,13 +167,13 @@ def _draw_shapes(result: Result[PartsRow, int], shapes: LabelledSet, folder: Pat
     order = sorted(right, key=lambda i: right[i])
     chosen = [order[len(order) // 2], order[0]]
     path = folder / f"parts_{result.contender.set}.png"
-    portraits = [
-        Portrait(geometry=shapes.meshes[i], labels=labels, lines=(f"shape {i}", line))
+    thumbnails = [
+        Thumbnail(geometry=shapes.meshes[i], labels=labels, lines=(f"shape {i}", line))
         for i in chosen
         for labels, line in (
             (shapes.vertex_labels[i], "truth"),
             (told[i], f"{100 * right[i]:.1f} % of the vertices right"),
         )
     ]
-    plot_portraits(path, portraits, page=Page(str(result.contender)))
+    plot_thumbnails(thumbnails, path=path, page=Page(str(result.contender)))
     return path

@@ -15,7 +15,7 @@ from measure.network.methods import check_labels, label
 from spectra_kit._core.types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.pretrained import load_pretrained
-from spectra_kit.show.axes import log_ticks
+from spectra_kit.show.layout import log_ticks
 
 _TITLE = "Validation error against hours of training"
 _NOTE = (
