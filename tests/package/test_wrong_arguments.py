@@ -144,7 +144,6 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     map_errors = maps.MapErrors(np.ones(n), same)
     given = subspaces.GivenBasis(spectrum.eigenvectors)
     pair = show.MatchedPair(source=mesh, target=mesh, point_map=same)
-    point = show.ParetoPoint(name="a", group="b", seconds=1.0, error=0.1)
     run = show.SolverRun(name="a", stages={"factor": 1.0}, times=[0.1], residuals=[1e-9])
     recipe = learn.Recipe(embeddings=(features.ShapeDNA(count=4),), k=8)
     points = learn.Recipe(embeddings=(features.HeatSignature(count=3),), k=8)
@@ -334,7 +333,6 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("plot_error_curves.errors", {"a": np.ones(4)}),
         ("fields", {"x": mesh.points[:, 0]}),
         ("pairs", [pair]),
-        ("pareto_front.points plot_pareto.points", [point]),
         ("plot_panels.rows", [[panel]]),
         ("columns_named rows_named", ["a"]),
         ("runs", [run]),
@@ -438,7 +436,6 @@ ALSO = {
     "Collection.groups": {"array"},
     "Collection.mirrored": {"array"},
     "Collection.pairs": {"array"},
-    "pareto_front.points": {"array"},
     "write_explorer.names": {"array of U"},
     "Panel.lines": {"array"},
     "Thumbnail.lines": {"array"},
