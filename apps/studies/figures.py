@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from measure.plots import ParetoPoint, pareto_front, plot_pareto
 from numpy.typing import ArrayLike
 
 from spectra_kit._core.files import atomic_path
-from spectra_kit.show import Page, ParetoPoint, pareto_front, plot_pareto
-from spectra_kit.show.axes import LINE_COLOURS
+from spectra_kit.show import Page
+from spectra_kit.show.layout import LINE_COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,8 +40,8 @@ def undominated(points: Iterable[ParetoPoint], *, floor: float = ROUNDING) -> se
 def draw_pareto(
     path: Path, points: Sequence[ParetoPoint], *, title: str = "", **options: Any
 ) -> Path:
-    """Draw errors against seconds and a front for each league; see `show.plot_pareto`."""
-    plot_pareto(path, points, floor=ROUNDING, page=Page(title, dpi=_DPI), **options)
+    """Draw errors against seconds and a front for each league; see `plots.plot_pareto`."""
+    plot_pareto(points, path=path, floor=ROUNDING, page=Page(title, dpi=_DPI), **options)
     return path
 
 

@@ -1,12 +1,14 @@
 """Match many pairs of shapes of a store."""
 
-from __future__ import annotations
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
 
-from spectra_kit.cli import program
-from spectra_kit.cli.match import MIRRORED
-from spectra_kit.cli.options import refuse_given
+from cyclopts import Parameter
+
+from spectra_kit.cli.options import Count, Sides, refuse_given
 from spectra_kit.cli.output import check_output
-from spectra_kit.cli.workers import engine_of, opened, part_of, running, tell_run
+from spectra_kit.cli.workers import Workers, engine_of, opened, part_of, running, tell_run
 from spectra_kit.datasets import Matching
 from spectra_kit.datasets.inputs import only_plan, pairs_of, records_of
 from spectra_kit.datasets.pairs import OF_COLLECTED, collected, match_records
@@ -17,7 +19,45 @@ from spectra_kit.maps.prepare import LOWEST_K
 _OF_WORKERS = ("nworkers", "nthreads", "memory_limit", "scheduler", "scheduler_file", "shard")
 
 
-def match_pairs(asked: program.MatchAll) -> None:
+@dataclass(frozen=True, kw_only=True)
+class _Kept(Sides, group="input"):
+    """The store, and what to match of it."""
+
+    store: Path = field(kw_only=False)
+    """a folder that `batch` has filled"""
+    pairs: Annotated[Path, Parameter(metavar="all|FILE")]
+    """all shapes with all others, each two once; or a .csv file with columns `source` and `target`,
+    names of the store, and more for the table"""
+    k: Count | None = None
+    """number of modes: match the spectra that have so many (default: those there are)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchAllOptions(_Kept, Workers):
+    """Match shapes of a store in pairs, each once; the maps go into the store."""
+
+    examples = (
+        "match-all store --pairs all",
+        "match-all store --pairs pairs.csv --csv maps.csv",
+        "match-all store --pairs all --together --csv maps.csv",
+    )
+    keys = (
+        "pairs, computed, known, failed, ambiguous, not_convincing, groups, foreign, replaced,"
+        " seconds, store, csv"
+    )
+    operands = "STORE --pairs all|FILE [options]"
+
+    csv: Path | None = None
+    """write a row for each pair to this .csv file: score, margin, doubts, key of the map
+    (default: none)"""
+    strict: bool = False
+    """stop at the first pair that fails"""
+    together: bool = False
+    """match the shapes as one collection, by this process alone: maps agree over all cycles (cycle
+    errors are in the table); groups of shapes that fit, and those that fit none, are named"""
+
+
+def match_pairs(asked: MatchAllOptions) -> None:
     """Match pairs of a store, tell what failed, write the table."""
     store = opened(asked.store)
     if asked.together:
@@ -38,7 +78,7 @@ def match_pairs(asked: program.MatchAll) -> None:
     pairs = part_of(asked, pairs_of(asked.pairs, store, plan))
     if asked.csv:
         check_columns(pairs, OF_PAIRS + OF_COLLECTED * asked.together)
-    matching = Matching(k=k, mirrored=MIRRORED[asked.sides])
+    matching = Matching(k=k, mirrored=asked.mirrored)
 
     def missing() -> int:
         ends = [(records.get(pair.source), records.get(pair.target)) for pair in pairs]

@@ -1,18 +1,18 @@
 """What the commands of many shapes share: their part of the work, who does it, what came of it."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from spectra_kit._core.records import printable
+from cyclopts import Parameter
+
+from spectra_kit._core.shown import printable
 from spectra_kit._core.validate import quantity
-from spectra_kit.cli import program
-from spectra_kit.cli.options import refuse_given
+from spectra_kit.cli.options import Command, refuse_given
 from spectra_kit.cli.output import tell
 from spectra_kit.cli.progress import counted, say
 from spectra_kit.cli.words import told
@@ -22,7 +22,31 @@ from spectra_kit.datasets.inputs import Named
 from spectra_kit.datasets.run import Spared
 from spectra_kit.errors import InvalidInputError
 
+if TYPE_CHECKING:
+    from spectra_kit.cli.batch import BatchOptions
+    from spectra_kit.cli.match_all import MatchAllOptions
+
 _NAMED = 3  # names that a line tells
+
+
+@dataclass(frozen=True, kw_only=True)
+class Workers(Command, group="workers"):
+    """Who works on many shapes, or on many pairs of them."""
+
+    nworkers: int | None = None
+    """processes on this machine, 0 for none but this one (default: one for each core that may
+    be used, once that is worth their start)"""
+    nthreads: int = 1
+    """shapes or pairs that each works on at a time"""
+    memory_limit: Annotated[str, Parameter(metavar="SIZE")] = "auto"
+    """of each process, such as 3GB"""
+    scheduler: str | None = None
+    """address of a Dask scheduler of a cluster, as $DASK_ADDRESS is (default: none, workers on this
+    machine)"""
+    scheduler_file: Path | None = None
+    """file in which a scheduler has written its address (default: none)"""
+    shard: Annotated[str | None, Parameter(metavar="I/N")] = None
+    """compute the I-th of N parts alone, as the tasks of a job array do (default: all)"""
 
 
 def opened(folder: Path) -> SpectrumStore:
@@ -32,7 +56,7 @@ def opened(folder: Path) -> SpectrumStore:
     return SpectrumStore(folder)
 
 
-def part_of(asked: program.Workers, inputs: Sequence[Named]) -> Sequence[Named]:
+def part_of(asked: Workers, inputs: Sequence[Named]) -> Sequence[Named]:
     """Return the part that `--shard` asks for."""
     if asked.shard is None:
         return inputs
@@ -42,7 +66,7 @@ def part_of(asked: program.Workers, inputs: Sequence[Named]) -> Sequence[Named]:
     return shard(inputs, int(part), int(parts))
 
 
-def engine_of(asked: program.Workers, noun: str, missing: Callable[[], int]) -> Engine | None:
+def engine_of(asked: Workers, noun: str, missing: Callable[[], int]) -> Engine | None:
     """Return who works: workers, unless this process alone is asked for or is enough.
 
     It is enough if nothing is `missing`, which is counted only where it matters.
@@ -92,7 +116,7 @@ def running(text: str, noun: str) -> Iterator[Callable[[int, int], None]]:
 
 
 def tell_run(
-    asked: program.Batch | program.MatchAll,
+    asked: "BatchOptions | MatchAllOptions",
     report: BatchReport[Any, Any],
     store: Path,
     more: Mapping[str, int | Sequence[str | Sequence[str]] | None] | None = None,

@@ -11,7 +11,7 @@ from typing import Any
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.files import atomic_path
-from spectra_kit._core.records import printable
+from spectra_kit._core.shown import printable
 from spectra_kit.datasets.files import MapRecord, ShapeRecord
 from spectra_kit.datasets.inputs import Input, Pair
 from spectra_kit.datasets.run import BatchReport, Completed

@@ -14,7 +14,7 @@ from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.files import parsing
-from spectra_kit._core.records import draw
+from spectra_kit._core.shown import draw
 from spectra_kit._core.threads import blas_threads_for
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import Rebuilt, check_count, check_positive, frozen, quantity
@@ -645,7 +645,7 @@ class Spectrum(Rebuilt):
         >>> sk.spectrum(sk.geometry.sphere(subdivisions=1).geometry, 9).plot().content[1:4]
         b'PNG'
         """
-        return draw("plot_spectrum", path, self)
+        return draw("plot_spectrum", self, path=path)
 
     def __repr__(self) -> str:
         certified = "uncertified" if self.certificate is None else self.certificate.summary

@@ -143,7 +143,6 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     map_errors = maps.MapErrors(np.ones(n), same)
     given = subspaces.GivenBasis(spectrum.eigenvectors)
     pair = show.MatchedPair(source=mesh, target=mesh, point_map=same)
-    point = show.ParetoPoint(name="a", group="b", seconds=1.0, error=0.1)
     run = show.SolverRun(name="a", stages={"factor": 1.0}, times=[0.1], residuals=[1e-9])
     recipe = learn.Recipe(embeddings=(features.ShapeDNA(count=4),), k=8)
     points = learn.Recipe(embeddings=(features.HeatSignature(count=3),), k=8)
@@ -172,7 +171,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         **{"orientation": 1.0, "confidence": 0.9, "mirrored": False},
         **{"ambiguous": False, "convincing": True, "doubts": ()},
     )
-    portrait = show.Portrait(geometry=mesh, labels=halves, lines=("x",))
+    thumbnail = show.Thumbnail(geometry=mesh, labels=halves, lines=("x",))
     quick = maps.MatchOptions(
         **{"orders": 1, "growing": 8, "kept": ((8, 2),), "turns": 1, "placed": 1},
         **{"finalists": 1, "rounds": 1, "bends": 1, "first_bends": 1},
@@ -203,7 +202,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
             datasets.Matching(),
             of_map,
         ),
-        *(dataset, recipe, classifier, segmenter, index, portrait, learn.Training(epochs=1)),
+        *(dataset, recipe, classifier, segmenter, index, thumbnail, learn.Training(epochs=1)),
         *(show.View(), sk.RayleighRitz(), geodesics.Automatic(), given, map_errors),
         *(metrics.compare_spectra(spectrum, spectrum), geometry.repair(mesh)),
         *(sk.ModeCount(verified=3, radius=0.1, floor=2.0), maps.Truth(same, same)),
@@ -275,7 +274,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("items", [dataset[0]]),
         ("item", dataset[0]),
         ("load", geometry.read),
-        ("portraits", [portrait]),
+        ("thumbnails", [thumbnail]),
         # Distances and maps.
         ("distance", field.distance),
         ("DistanceField.sources", field.sources),
@@ -330,7 +329,6 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("plot_error_curves.errors", {"a": np.ones(4)}),
         ("fields", {"x": mesh.points[:, 0]}),
         ("pairs", [pair]),
-        ("pareto_front.points plot_pareto.points", [point]),
         ("plot_panels.rows", [[panel]]),
         ("columns_named rows_named", ["a"]),
         ("runs", [run]),
@@ -434,10 +432,9 @@ ALSO = {
     "Collection.groups": {"array"},
     "Collection.mirrored": {"array"},
     "Collection.pairs": {"array"},
-    "pareto_front.points": {"array"},
     "write_explorer.names": {"array of U"},
     "Panel.lines": {"array"},
-    "Portrait.lines": {"array"},
+    "Thumbnail.lines": {"array"},
     "ShapeIndex.names": {"array"},
     "ShapeIndex.digests": {"array"},
     "Problem.remedies": {"array"},

@@ -13,7 +13,7 @@ import numpy as np
 from spectra_kit._core.types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.pretrained import load_pretrained
-from spectra_kit.show.axes import log_ticks
+from spectra_kit.show.layout import log_ticks
 from studies import figures
 from studies.machine import describe_machine
 from studies.network.methods import check_labels, label

@@ -14,13 +14,11 @@ from spectra_kit._core.types import Bytes
 from spectra_kit._core.validate import Brief, check_count, check_indices
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
-from spectra_kit.show.axes import LINE_COLOURS
 from spectra_kit.show.camera import View, fitting_size
 from spectra_kit.show.colours import refined
-from spectra_kit.show.page import Page
-from spectra_kit.show.picture import plotted
+from spectra_kit.show.layout import LINE_COLOURS, Cell, Page, set_table
+from spectra_kit.show.picture import PathLike, plotted
 from spectra_kit.show.render import Scene, render
-from spectra_kit.show.table import Cell, set_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,7 +32,7 @@ _PIXELS = 1  # to a vertex: borders of classes run through triangles
 
 @checked
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Portrait(Brief):
+class Thumbnail(Brief):
     """A shape, what its points are, and what to write above it.
 
     Attributes
@@ -67,9 +65,10 @@ class Portrait(Brief):
 
 
 @plotted
-def plot_portraits(
-    portraits: Sequence[Portrait],
+def plot_thumbnails(
+    thumbnails: Sequence[Thumbnail],
     *,
+    path: PathLike | None = None,
     columns: int = 4,
     view: View = View(),
     page: Page = Page(),
@@ -78,11 +77,11 @@ def plot_portraits(
 
     Parameters
     ----------
-    $path
-    portraits : sequence of Portrait
+    thumbnails : sequence of Thumbnail
         At least one.
     columns : int, default 4
         How many stand beside each other.
+    $path
     $view
     $page
 
@@ -95,31 +94,31 @@ def plot_portraits(
     Examples
     --------
     >>> from spectra_kit.geometry import sphere
-    >>> from spectra_kit.show import Page, Portrait, plot_portraits
+    >>> from spectra_kit.show import Page, Thumbnail, plot_thumbnails
     >>> ball = sphere(subdivisions=2).geometry
-    >>> halves = Portrait(geometry=ball, labels=(ball.points[:, 2] > 0).astype(int))
-    >>> plot_portraits([halves, Portrait(geometry=ball, lines=("plain",))], page=Page(dpi=30))
+    >>> halves = Thumbnail(geometry=ball, labels=(ball.points[:, 2] > 0).astype(int))
+    >>> plot_thumbnails([halves, Thumbnail(geometry=ball, lines=("plain",))], page=Page(dpi=30))
     Picture(path=None)
     """
-    if not portraits:
-        raise InvalidInputError("portraits", "hold at least one Portrait", "none")
+    if not thumbnails:
+        raise InvalidInputError("thumbnails", "hold at least one Thumbnail", "none")
     check_count("columns", columns, low=1)
-    scenes = [_scene(portrait, view, page.dpi) for portrait in portraits]
+    scenes = [_scene(thumbnail, view, page.dpi) for thumbnail in thumbnails]
     pictures = [drawn[0] for drawn in render(scenes)]
     cells = [
-        Cell(picture=picture, lines=portrait.lines)
-        for picture, portrait in zip(pictures, portraits, strict=True)
+        Cell(picture=picture, lines=thumbnail.lines)
+        for picture, thumbnail in zip(pictures, thumbnails, strict=True)
     ]
     rows = [cells[start : start + columns] for start in range(0, len(cells), columns)]
     return set_table(page, rows, cell=_WIDEST)
 
 
-def _scene(portrait: Portrait, view: View, dpi: int) -> Scene:
-    geometry = portrait.geometry
+def _scene(thumbnail: Thumbnail, view: View, dpi: int) -> Scene:
+    geometry = thumbnail.geometry
     labels = np.zeros(geometry.n, dtype=np.int64)
     palette = np.array([_PLAIN], dtype=np.uint8)
-    if portrait.labels is not None:
-        labels = check_indices("labels", portrait.labels, _CLASSES)
+    if thumbnail.labels is not None:
+        labels = check_indices("labels", thumbnail.labels, _CLASSES)
         present, labels = np.unique(labels, return_inverse=True)
         palette = _palette(int(present[-1]) + 1)[present]
     rotation = view.rotation(geometry)

@@ -1,4 +1,4 @@
-"""Time against error: what each method costs, and the front that nothing beats."""
+"""Plots that only studies draw: time against error, and the front that nothing beats."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_positive
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.show.axes import line_style, log_ticks, tidy
-from spectra_kit.show.labels import place_labels
-from spectra_kit.show.page import Page, new_diagram
-from spectra_kit.show.picture import plotted
+from spectra_kit.show.layout import Page, line_style, log_ticks, new_diagram, tidy
+from spectra_kit.show.picture import PathLike, plotted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 _WIDTH, _HEIGHT = 8.4, 5.2  # inches
 _MARKERS = "osD^vP*Xp"
 _INK: dict[str, Any] = {"fontsize": 8, "color": "0.2", "parse_math": False}
 _LINED = 14.0  # names further than this from their dot, in points, are tied to it by a line
+# Right and left first: read more easily than above and below.
+_ANGLES = np.deg2rad([0, 180, 20, -20, 160, 200, 40, -40, 140, 220, 90, -90, 65, -65, 115, 245])
+_GAPS = (6.0, 10.0, 16.0, 26.0, 40.0, 60.0)  # between a dot and its name, in points
+_ROUNDS = 8  # each name is put again where the others leave most room
+_OVERLAP, _COVERED, _CROSSED, _OUTSIDE = 40.0, 60.0, 8.0, 1e4  # costs, of one point of gap 1
 
 
-@checked
 @dataclass(frozen=True, kw_only=True)
 class ParetoPoint:
     """One run of one method: its seconds, and its error.
@@ -74,7 +74,6 @@ class ParetoPoint:
             raise InvalidInputError("worst", wanted, repr(self.worst))
 
 
-@checked
 def pareto_front(points: Sequence[ParetoPoint], *, floor: float = 0.0) -> list[ParetoPoint]:
     """Return the points that no other one beats in both time and error.
 
@@ -111,6 +110,7 @@ def pareto_front(points: Sequence[ParetoPoint], *, floor: float = 0.0) -> list[P
 def plot_pareto(
     points: Sequence[ParetoPoint],
     *,
+    path: PathLike | None = None,
     page: Page = Page(),
     floor: float = 1e-12,
     marks: Mapping[str, float] | None = None,
@@ -121,9 +121,9 @@ def plot_pareto(
 
     Parameters
     ----------
-    $path
     points : sequence of ParetoPoint
         At least one.
+    $path
     $page
     floor : float, default 1e-12
         Smaller errors are drawn here as hollow dots, on a grey ground: they are rounding.
@@ -254,3 +254,49 @@ def _dots(corners: Floats) -> Floats:
     counts = 2 + (np.abs(np.diff(corners, axis=0)).max(axis=1) / 3).astype(int)
     sides = zip(corners[:-1], corners[1:], counts, strict=True)
     return np.vstack([np.linspace(a, b, count) for a, b, count in sides])
+
+
+def place_labels(anchors: Floats, sizes: Floats, room: Floats, obstacles: Floats) -> Floats:
+    """Return the lower left corner (l, 2) of each label near its anchor, all in points (1/72 inch).
+
+    Labels of `sizes` (l, 2) stay inside the corners of `room` (2, 2); they overlap each other, an
+    anchor, or points of `obstacles` (o, 2) only where there is no other place.
+    """
+    candidates = _candidates(anchors, sizes)  # (l, c, 2)
+    ends = candidates + sizes[:, None]
+    cost = np.tile(np.repeat(_GAPS, len(_ANGLES)), (len(anchors), 1))
+    cost += 0.05 * np.tile(np.arange(len(_ANGLES)), len(_GAPS))  # the order above, when in doubt
+    cost += _OUTSIDE * ((candidates < room[0]) | (ends > room[1])).any(axis=2)
+    cost += _COVERED * _inside(anchors, candidates - 3, ends + 3)
+    cost += _CROSSED * _inside(obstacles, candidates, ends)
+    chosen = cost.argmin(axis=1)
+    for _ in range(_ROUNDS):
+        before = chosen.copy()
+        for i in range(len(anchors)):
+            others = np.delete(np.arange(len(anchors)), i)
+            low, high = candidates[others, chosen[others]], ends[others, chosen[others]]
+            common = np.minimum(ends[i][:, None], high + 2) - np.maximum(
+                candidates[i][:, None], low - 2
+            )
+            overlap = np.prod(np.clip(common, 0.0, None), axis=2).sum(axis=1)
+            chosen[i] = (cost[i] + _OVERLAP * overlap).argmin()
+        if (chosen == before).all():
+            break
+    return np.asarray(candidates[np.arange(len(anchors)), chosen])
+
+
+def _candidates(anchors: Floats, sizes: Floats) -> Floats:
+    """Lower left corners of all places for each label, near ones first: (l, c, 2)."""
+    towards = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+    # The edge of the label, not its centre, keeps the gap: steep directions centre it.
+    lean = np.clip(1.6 * towards, -1.0, 1.0)
+    steps = np.concatenate([gap * towards for gap in _GAPS])
+    leans = np.tile(lean, (len(_GAPS), 1))
+    centres = anchors[:, None] + steps + leans * sizes[:, None] / 2
+    return np.asarray(centres - sizes[:, None] / 2)
+
+
+def _inside(points: Floats, low: Floats, high: Floats) -> Floats:
+    """How many points each box holds: (l, c)."""
+    at = points[:, None, None]
+    return np.asarray(((at > low) & (at < high)).all(axis=3).sum(axis=0), dtype=np.float64)
