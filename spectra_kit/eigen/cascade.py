@@ -11,6 +11,7 @@ from spectra_kit._core.checked import checked
 from spectra_kit._core.threads import team
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count, check_positive, quantity
+from spectra_kit._sparse.blocks import device_clock, device_memory
 from spectra_kit._sparse.ritz import ritz_pairs
 from spectra_kit.eigen.arpack import Arpack, or_densely
 from spectra_kit.eigen.audit import counted_errors
@@ -112,8 +113,6 @@ class Cascade(OnPoints):
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
-        from spectra_kit._sparse.torch_device import device_clock, device_memory
-
         block, keep = block_size(k, self.guard), block_size(k, self.guard / 2)
         clock = device_clock(self.device)
         # Without sparse products nothing depends on the order of the points.

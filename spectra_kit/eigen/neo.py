@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.validate import Rebuilt, check_count
+from spectra_kit._sparse.blocks import device_memory
 from spectra_kit.eigen.base import Eigenpairs, Promise
 from spectra_kit.eigen.cascade import Cascade
 from spectra_kit.eigen.dense import Dense
@@ -141,8 +142,6 @@ class Neo(Rebuilt):
 
     def begin(self, laplacians: Sequence[Laplacian], k: int) -> list[Callable[[], Eigenpairs]]:
         """See `Eigensolver.begin`: the functions of all come from one forward pass."""
-        from spectra_kit._sparse.torch_device import device_memory
-
         rest: list[Callable[[], Eigenpairs]] = [
             partial(self.eigenpairs, laplacian, k) for laplacian in laplacians
         ]
