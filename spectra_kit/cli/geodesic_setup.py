@@ -15,12 +15,12 @@ from spectra_kit.cli.options import DEMO, NETWORK, refuse_given
 from spectra_kit.cli.solving import check_solvers, refuse_solving, solve
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geodesics import Automatic, Direct, FacePoint, Iterative, nearest_source
+from spectra_kit.geodesics import Direct, FacePoint, Iterative, WithinMemory, nearest_source
 from spectra_kit.geometry import Geometry
 from spectra_kit.operators import Laplacian
 
 Source = int | FacePoint
-Solver = Automatic | Direct | Iterative
+Solver = WithinMemory | Direct | Iterative
 _COARSE: dict[str, Literal["additive", "projected", "none"]] = {
     "iterative": "additive",
     "projected": "projected",
@@ -63,7 +63,7 @@ def linear_solver(asked: program.Geodesic, modes: int) -> Solver:
     """Return the solver that ``--method`` names, with so many modes at most."""
     rtol = asked.poisson_rtol
     if asked.method == "auto":
-        return Automatic(modes=modes, rtol=rtol)
+        return WithinMemory(modes=modes, rtol=rtol)
     if asked.method == "direct":
         return Direct()
     return Iterative(coarse=_COARSE[asked.method], modes=modes, rtol=rtol)
@@ -71,7 +71,7 @@ def linear_solver(asked: program.Geodesic, modes: int) -> Solver:
 
 def why_without_modes(asked: program.Geodesic, solver: Solver, n: int) -> str:
     """Return why a solver that may choose on n points leaves the modes alone; "" if it does not."""
-    if not (asked.solver or asked.spectrum) or not isinstance(solver, Automatic):
+    if not (asked.solver or asked.spectrum) or not isinstance(solver, WithinMemory):
         return ""
     chosen, reason = solver.choose(n)
     return f"not needed by the direct solver: {reason}" if isinstance(chosen, Direct) else ""

@@ -101,7 +101,7 @@ def warn_of_doubts(spectrum: Spectrum, solver: Eigensolver, *, where: str = "") 
             " errors that are"
             f" estimated at {left:.1e} in the mean",
             DoubtfulSpectrumWarning,
-            advice="allow more steps (max_steps of Cascade, smoothing of Neo), or use {}",
-            remedies=("Arpack",),
+            advice=("raise {}", "use {}"),
+            remedies=("max_steps", "Arpack"),
             where=where,
         )

@@ -62,7 +62,7 @@ def test_uneven_clouds_in_random_order(uneven):
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 def test_smoothing_makes_a_prediction_ten_times_better(animal, animal_spectrum, cap):
     raw, smooth = (
-        errors(sk.eigensolve(animal, K, sk.Neo(cap=cap, smoothing=steps)), animal_spectrum)
+        errors(sk.eigensolve(animal, K, sk.Neo(coarsest=cap, max_steps=steps)), animal_spectrum)
         for steps in (0, 20)
     )
     assert smooth.mean() < 0.1 * raw.mean()

@@ -101,8 +101,8 @@ OTHERWISE = [
     (sk.Cascade(coarsest=600), {"seed": 1}),  # so few points are refined
     (sk.RayleighRitz(subspace=WAVES), {"rank_tol": 1e-2}),
     (
-        sk.Neo(cap=200),
-        {"cap": 300, "smoothing": 0, "target": 1e-7, "dtype": "bfloat16", "poses": 2},
+        sk.Neo(coarsest=200),
+        {"coarsest": 300, "max_steps": 0, "target": 1e-7, "dtype": "bfloat16", "poses": 2},
     ),
 ]
 
@@ -298,8 +298,8 @@ def test_a_larger_prediction_lowers_every_ritz_value() -> None:
     one, two, alone, both = (
         sk.eigensolve(laplacian, 40, solver).eigenvalues[1:]
         for solver in (
-            sk.Neo(smoothing=0),
-            sk.Neo(smoothing=0, poses=2),
+            sk.Neo(max_steps=0),
+            sk.Neo(max_steps=0, poses=2),
             sk.RayleighRitz(subspace=waves),
             sk.RayleighRitz(subspace=sk.Union(sk.Neo().subspace, waves)),
         )

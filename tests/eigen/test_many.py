@@ -104,13 +104,13 @@ def test_what_cannot_share_a_pass_is_solved_beside_the_others():
 
 @pytest.mark.parametrize(
     "solver",
-    [Neo(cap=300), Neo(smoothing=0), Neo(poses=2, chunk=700)],
-    ids=["cap", "raw", "poses"],
+    [Neo(coarsest=300), Neo(max_steps=0), Neo(poses=2, chunk=700)],
+    ids=["coarsest", "raw", "poses"],
 )
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 def test_every_option_of_the_solver_holds(solver):
     for spectrum, shape in zip(eigensolve_many(bodies()[:4], K, solver), bodies(), strict=False):
-        assert_same(spectrum, eigensolve(shape, K, solver), 1e-4 if not solver.smoothing else 1e-6)
+        assert_same(spectrum, eigensolve(shape, K, solver), 1e-4 if not solver.max_steps else 1e-6)
 
 
 @pytest.mark.parametrize("solver", [sk.Arpack(), sk.Automatic(), sk.Dense()], ids=str)

@@ -384,7 +384,7 @@ def test_waves_are_as_many_as_the_network_has_functions():
     waves, neo = METHODS["fourier"].make("cpu"), METHODS["neo-raw"].make("cpu")
     assert waves.subspace.m == neo.subspace.n_functions
     smoothed, default = METHODS["fourier-smoothed"].make("cpu"), METHODS["neo"].make("cpu")
-    assert (smoothed.max_steps, smoothed.target) == (default.smoothing, default.target)
+    assert (smoothed.max_steps, smoothed.target) == (default.max_steps, default.target)
 
 
 def test_the_network_pays_where_nothing_without_it_is_as_quick_and_as_near():

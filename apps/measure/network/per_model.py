@@ -14,7 +14,7 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit.eigen import Neo
 
 #: Of smoothing, at most: none, one, and what `Neo` is allowed by default.
-STEPS = (0, 1, Neo.smoothing)
+STEPS = (0, 1, Neo.max_steps)
 #: The column by which models are ranked.
 WORST = "eigenvalue error"
 _BEFORE, _ONCE = f"{WORST} before", "after one step"
