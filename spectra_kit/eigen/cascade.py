@@ -13,9 +13,9 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count, check_positive, quantity
 from spectra_kit._sparse.blocks import device_clock, device_memory
 from spectra_kit._sparse.ritz import ritz_pairs
-from spectra_kit.eigen.arpack import Arpack, or_densely
 from spectra_kit.eigen.audit import counted_errors
 from spectra_kit.eigen.base import Eigenpairs, Promise, set_device
+from spectra_kit.eigen.lanczos import cheapest, or_densely
 from spectra_kit.eigen.multigrid.cascade import climb, nested
 from spectra_kit.eigen.multigrid.coarse import Coarse
 from spectra_kit.eigen.multigrid.ordering import gathered
@@ -53,7 +53,7 @@ class Cascade(OnPoints):
     coarsest : int, optional
         Points of the coarsest level, about; more where k is large. 6 for each column without it
         (2,048 at least, with a subspace). With fewer than twice as many points in all, this is
-        `Arpack`; with a subspace, the subspace on all points. Without it, `Arpack` also solves
+        `Automatic`; with a subspace, the subspace on all points. Without it, `Arpack` also solves
         parts of up to 5,000 points for fewer than 40 modes, where that costs less.
     guard : float, default 0.4
         Columns beyond k, relative to k, below the finest level; half as many there. The worse the
@@ -122,7 +122,7 @@ class Cascade(OnPoints):
         few = self.coarsest is None and k <= _FEW_MODES and laplacian.n <= _FEW_POINTS
         if self.subspace is None and (few or not levels):
             why = f"an exact solution is quickest for {quantity(k, 'mode')} of {laplacian.n} points"
-            return or_densely(Arpack(seed=self.seed), laplacian, k, why)
+            return or_densely(cheapest(laplacian.n, k, seed=self.seed), laplacian, k, why)
         clock.stage("coarsen")
         bottom = levels[-1] if levels else gathers
         with device_memory(), team():

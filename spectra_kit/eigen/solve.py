@@ -76,8 +76,8 @@ def eigensolve(
         Number of modes, zero modes included; at most the number of free points.
     solver : Eigensolver, default Automatic()
         ``Automatic(accuracy=1e-3)`` takes what costs least for that accuracy; without it, all is
-        exact. For those who know: `Arpack`, `Refined`, `Dense`; approximate: `Neo`, `Cascade`,
-        `RayleighRitz`; or your own.
+        exact. For those who know: `Arpack`, `Lanczos`, `Refined`, `Dense`; approximate: `Neo`,
+        `Cascade`, `RayleighRitz`; or your own.
 
     Returns
     -------

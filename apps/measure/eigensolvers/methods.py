@@ -113,6 +113,7 @@ METHODS: dict[str, Method] = {
     "refined-random": _ours("refined", start=SUBSPACES["random"](m=144)),
     "refined-random-1e-2": _ours("refined", start=SUBSPACES["random"](m=144), stops=_LOOSE),
     "arpack": _ours("arpack"),
+    "lanczos": _ours("lanczos"),
     "eigsh": _theirs(peers.ScipyEigsh(), _EXACT),
     "eigsh-1e-6": _theirs(peers.ScipyEigsh(tol=_RTOL), _AT_RTOL),
     "eigsh-dnet": _theirs(peers.DiffusionNetEigsh(), _EXACT),
@@ -123,7 +124,7 @@ METHODS: dict[str, Method] = {
 STARTS = tuple(
     name
     for name in METHODS
-    if name.partition("-")[0] in ("fourier", "neo", "cascade", "refined", "arpack")
+    if name.partition("-")[0] in ("fourier", "neo", "cascade", "refined", "lanczos")
     or name == BASELINE
 )
 #: What a quick comparison measures.

@@ -34,7 +34,7 @@ from spectra_kit.operators import intrinsic_delaunay, robust_laplacian
 
 #: How modes are made.
 EIGENSOLVERS: Mapping[str, Callable[[], Eigensolver]] = {
-    "exact": lambda: SOLVERS["arpack"](),
+    "exact": lambda: SOLVERS["automatic"](),
     "neo": lambda: SOLVERS["neo"](),
 }
 
