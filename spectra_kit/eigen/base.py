@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from difflib import get_close_matches
 from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._core.checked import MADE_OF
 from spectra_kit._core.types import Floats
+from spectra_kit.catalogue import SOLVERS
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.operators.laplacian import Laplacian
 
 #: What a backend goes on for: until rounding, until the residuals asked for, or so much work.
@@ -71,6 +75,21 @@ class Eigensolver(Protocol):
             With the pairs there are; `eigensolve` certifies them and raises `ConvergenceError`.
         """
         ...
+
+
+def named(name: Any) -> Eigensolver:
+    """Return the solver of a name in the catalogue, with its defaults."""
+    if isinstance(name, str) and name in SOLVERS:
+        solver: Eigensolver = SOLVERS[name]()
+        return solver
+    advice = "pass one such as Arpack()"
+    if isinstance(name, str):
+        near = get_close_matches(name, SOLVERS, 1)
+        advice += f", or the name of one: {' or '.join(map(repr, near or SOLVERS))}"
+    raise InvalidInputError("thing", "be an Eigensolver", name, advice=advice)
+
+
+MADE_OF[Eigensolver] = named
 
 
 class NotConvergedError(Exception):

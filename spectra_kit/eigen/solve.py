@@ -9,7 +9,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -54,9 +54,11 @@ _NEAR = 10  # modes that complete an exact spectrum may have residuals so many t
 
 @checked
 def eigensolve(
-    laplacian: Laplacian,
+    laplacian: Annotated[Laplacian, sparse.sparray],
     k: int,
     solver: Eigensolver = Automatic(),  # noqa: B008
+    *,
+    mass: Annotated[Floats, sparse.sparray] | None = None,
 ) -> Spectrum:
     """Compute the k lowest modes of a Laplacian with the backend of your choice, and certify them.
 
@@ -70,14 +72,18 @@ def eigensolve(
 
     Parameters
     ----------
-    laplacian : Laplacian
-        On n points.
+    laplacian : Laplacian, or sparse array of shape (n, n)
+        On n points; or a stiffness matrix, with its `mass`.
     k : int
         Number of modes, zero modes included; at most the number of free points.
     solver : Eigensolver, default Automatic()
         ``Automatic(accuracy=1e-3)`` takes what costs least for that accuracy; without it, all is
         exact. For those who know: `Arpack`, `Lanczos`, `Refined`, `Dense`; approximate: `Neo`,
-        `Cascade`, `RayleighRitz`; or your own.
+        `Cascade`, `RayleighRitz`; or your own. Or its name in the `catalogue`: "arpack".
+    mass : array_like of shape (n,), or diagonal sparse array of shape (n, n), optional
+        Of a stiffness matrix: lumped, for a full one has other modes; its row sums, say. Matrices
+        have no points, so that their solver is to be an exact one: for others, make a
+        ``Laplacian(K, M, points)``.
 
     Returns
     -------
@@ -115,10 +121,31 @@ def eigensolve(
     >>> bool(spectrum.certificate.relative_residuals.max() < 1e-8)
     True
     """
+    laplacian = _of_matrices(laplacian, mass, solver)
     check_modes(laplacian, k)
     spectrum = solve(laplacian, k, solver)
     warn_of_doubts(spectrum, solver)
     return spectrum
+
+
+def _of_matrices(given: Laplacian | sparse.sparray, mass: object, solver: Eigensolver) -> Laplacian:
+    """Return an operator as it is; of matrices, one whose points all lie in one place."""
+    if isinstance(given, Laplacian):
+        if mass is not None:
+            raise InvalidInputError("mass", "be left out beside a Laplacian, which has its own")
+        return given
+    if mass is None:
+        raise InvalidInputError(
+            "mass", "go with a stiffness matrix", None, advice="write eigensolve(K, k, mass=M)"
+        )
+    if _promise_of(solver) == "approximate":
+        raise InvalidInputError(
+            "solver",
+            "be an exact one, of matrices alone",
+            solver,
+            advice="it looks at points, too: pass a Laplacian(K, M, points)",
+        )
+    return Laplacian(given, mass, np.zeros((given.shape[0], 3)))  # type: ignore[arg-type]
 
 
 def check_modes(laplacian: Laplacian, k: int) -> None:

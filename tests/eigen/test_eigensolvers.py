@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from conftest import Backend, bumpy, creature, joined, moved, two_parts, whole_spectrum
+from conftest import Backend, bumpy, creature, joined, moved, refused, two_parts, whole_spectrum
 from scipy import sparse
 
 import spectra_kit as sk
@@ -199,6 +199,25 @@ def test_a_plain_class_of_a_user_is_a_backend(bumpy_laplacian: sk.Laplacian) -> 
     mine = Changed(lambda values, vectors: (values[::-1], vectors[:, ::-1]))  # any order will do
     s = sk.eigensolve(bumpy_laplacian, 5, mine)
     assert s.eigenvalues == pytest.approx(sk.eigensolve(bumpy_laplacian, 5).eigenvalues, abs=1e-9)
+
+
+@pytest.mark.parametrize("solver", ["automatic", "arpack", "dense", "refined"])
+def test_matrices_of_scipy_and_solvers_by_name(any_laplacian: sk.Laplacian, solver: str) -> None:
+    L = any_laplacian.restricted(any_laplacian.free)
+    exact = once(any_laplacian, K, sk.Dense()).eigenvalues
+    for mass in (L.mass, sparse.diags(L.mass), sparse.csr_array(sparse.diags_array(L.mass))):
+        found = sk.eigensolve(L.stiffness, K, solver, mass=mass)
+        assert found.eigenvalues == pytest.approx(exact, rel=1e-8, abs=1e-9)
+        assert found.certificate.level == "verified"
+
+
+def test_what_matrices_lack(bumpy_laplacian: sk.Laplacian) -> None:
+    L, M = bumpy_laplacian.stiffness, bumpy_laplacian.mass
+    refused("mass", "go with a stiffness matrix", sk.eigensolve, L, 4)
+    refused("mass", "be left out", sk.eigensolve, bumpy_laplacian, 4, mass=M)
+    refused("mass", "be lumped", sk.eigensolve, L, 4, mass=L)
+    refused("solver", "be an exact one", sk.eigensolve, L, 4, "cascade", mass=M)
+    refused("solver", "be an Eigensolver, got 'apack'", sk.eigensolve, L, 4, "apack", mass=M)
 
 
 @pytest.mark.parametrize("mesh", [bumpy(), two_parts()])

@@ -48,7 +48,7 @@ TABLE = [
     ),
     (lambda: solve(sk.Dense(), True), "k", "be an integer"),
     (lambda: solve(sk.Arpack), "solver", "be an Eigensolver"),
-    (lambda: solve("arpack"), "solver", "be an Eigensolver"),
+    (lambda: solve("apack"), "solver", "be an Eigensolver"),
     (lambda: solve(sk.Dense(max_points=600)), "laplacian", "have at most 600 points for Dense"),
     (
         lambda: solve(sk.Arpack(), 7000, sk.robust_laplacian(creature(20_500, seed=0))),
