@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._core.records import table
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit.errors import InvalidInputError, SpectraKitWarning
+from spectra_kit.errors import Advice, InvalidInputError, SpectraKitWarning
 
 Array = TypeVar("Array", bound=NDArray[np.generic])
 
@@ -281,7 +281,7 @@ def warn(
     message: str,
     category: type[SpectraKitWarning],
     *,
-    advice: str = "",
+    advice: Advice = "",
     remedies: tuple[str, ...] = (),
     where: str = "",
 ) -> None:

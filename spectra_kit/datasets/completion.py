@@ -18,7 +18,7 @@ from spectra_kit.datasets.files import ShapeRecord, remove, warn_of_damage
 from spectra_kit.datasets.plan import Plan
 from spectra_kit.datasets.store import SpectrumStore
 from spectra_kit.eigen import Spectrum
-from spectra_kit.eigen.doubts import warn_of_doubts
+from spectra_kit.eigen.accuracy import warn_of_doubts
 from spectra_kit.errors import (
     DamagedEntryWarning,
     IgnoredContentWarning,

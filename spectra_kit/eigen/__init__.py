@@ -10,16 +10,13 @@ Interchangeable eigensolvers behind `eigensolve`.
 from spectra_kit.eigen.automatic import Automatic
 from spectra_kit.eigen.base import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.eigen.cascade import Cascade
-from spectra_kit.eigen.certificate import Certificate, ModeCount
+from spectra_kit.eigen.certificate import Certificate, ModeCount, Provenance
 from spectra_kit.eigen.dense import Dense
 from spectra_kit.eigen.lanczos import Arpack, Lanczos
-from spectra_kit.eigen.many import eigensolve_many
 from spectra_kit.eigen.neo import Neo
-from spectra_kit.eigen.provenance import Provenance
 from spectra_kit.eigen.rayleigh_ritz import RayleighRitz
 from spectra_kit.eigen.refined import Refined
-from spectra_kit.eigen.shortcut import spectrum
-from spectra_kit.eigen.solve import eigensolve
+from spectra_kit.eigen.solve import eigensolve, eigensolve_many, spectrum
 from spectra_kit.eigen.spectrum import Spectrum
 from spectra_kit.eigen.verification import verify
 

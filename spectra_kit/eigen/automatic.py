@@ -10,7 +10,7 @@ import numpy as np
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, check_positive, quantity
-from spectra_kit.eigen.audit import is_hard
+from spectra_kit.eigen.accuracy import is_hard
 from spectra_kit.eigen.base import (
     Eigenpairs,
     Eigensolver,

@@ -13,15 +13,12 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count, check_positive, quantity
 from spectra_kit._sparse.blocks import device_clock, device_memory
 from spectra_kit._sparse.ritz import ritz_pairs
-from spectra_kit.eigen.audit import counted_errors
-from spectra_kit.eigen.base import Eigenpairs, Promise, set_device
+from spectra_kit.eigen.accuracy import counted_errors
+from spectra_kit.eigen.base import Eigenpairs, Promise, basis_with_kernel, block_size, set_device
 from spectra_kit.eigen.lanczos import cheapest, or_densely
-from spectra_kit.eigen.multigrid.cascade import climb, nested
-from spectra_kit.eigen.multigrid.coarse import Coarse
-from spectra_kit.eigen.multigrid.ordering import gathered
+from spectra_kit.eigen.multigrid.cascade import coarsest_eigenpairs, nested, prolonged
+from spectra_kit.eigen.multigrid.coarse import Coarse, gathered
 from spectra_kit.eigen.multigrid.smoothing import on_device
-from spectra_kit.eigen.multigrid.solve import coarse_pairs
-from spectra_kit.eigen.starts import basis_with_kernel, block_size
 from spectra_kit.eigen.subspaces.base import Subspace
 from spectra_kit.eigen.subspaces.given import OnPoints, restricted
 from spectra_kit.operators.laplacian import Laplacian
@@ -74,9 +71,9 @@ class Cascade(OnPoints):
 
     Notes
     -----
-    Cascadic multigrid (Bornemann and Deuflhard, 1996) for eigenpairs, on the nested Galerkin levels
-    of `levels`: Ritz values there are those of the carried functions on all points, and so bounds
-    from above.
+    Cascadic multigrid (Bornemann and Deuflhard, 1996) for eigenpairs, on nested Galerkin levels
+    (`eigen.multigrid`): Ritz values there are those of the prolonged functions on all points, and
+    so bounds from above.
 
     Errors estimated are held against counts of the eigenvalues on up to 10,000 points, and on more
     where coarse levels may not see the modes, as beside a potential. That takes a factor.
@@ -128,7 +125,7 @@ class Cascade(OnPoints):
         with device_memory(), team():
             if self.subspace is None:
                 assert isinstance(bottom, Coarse)
-                begun: tuple[Floats, Any] = coarse_pairs(bottom, block, k, seed=self.seed)
+                begun: tuple[Floats, Any] = coarsest_eigenpairs(bottom, block, k, seed=self.seed)
             else:
                 points = _points(gathers, levels)
                 subspace = restricted(self.subspace, points if order is None else order[points])
@@ -140,7 +137,7 @@ class Cascade(OnPoints):
                 wanted = block if levels else keep
                 begun = ritz_pairs(L, M, Y, wanted, least=k, rank_tol=self.rank_tol)[:2]
             clock.stage("coarse")
-            found = climb(
+            found = prolonged(
                 gathers,
                 levels,
                 *begun,

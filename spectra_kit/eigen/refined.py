@@ -12,9 +12,15 @@ from spectra_kit._core.clock import Clock
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, check_positive, quantity
 from spectra_kit._sparse.shift_invert import shift_invert_iteration
-from spectra_kit.eigen.base import Eigenpairs, NotConvergedError, Promise
+from spectra_kit.eigen.base import (
+    Eigenpairs,
+    NotConvergedError,
+    Promise,
+    basis_with_kernel,
+    block_size,
+    plane_waves,
+)
 from spectra_kit.eigen.dense import Dense
-from spectra_kit.eigen.starts import basis_with_kernel, block_size, plane_waves
 from spectra_kit.eigen.subspaces.base import Subspace
 from spectra_kit.eigen.subspaces.given import OnPoints, RandomBasis
 from spectra_kit.errors import InvalidInputError

@@ -20,8 +20,7 @@ from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import Rebuilt, check_count, check_positive, frozen, quantity
 from spectra_kit._sparse.host import gram
 from spectra_kit._sparse.residuals import residual_norms
-from spectra_kit.eigen.certificate import Certificate, ModeCount
-from spectra_kit.eigen.provenance import Provenance
+from spectra_kit.eigen.certificate import Certificate, ModeCount, Provenance
 from spectra_kit.eigen.spectrum_file import REMEDY, read_spectrum_file, write_spectrum_file
 from spectra_kit.errors import InvalidInputError, InvalidSpectrumError
 from spectra_kit.operators.laplacian import Laplacian

@@ -13,9 +13,8 @@ from spectra_kit._core.clock import Clock
 from spectra_kit._core.types import Floats
 from spectra_kit._sparse import SparseLDL
 from spectra_kit._sparse.host import gram
-from spectra_kit.eigen.bounds import rounding, with_bounds
+from spectra_kit.eigen.accuracy import rounding, with_bounds, with_excess
 from spectra_kit.eigen.certificate import ModeCount
-from spectra_kit.eigen.doubts import with_excess
 from spectra_kit.eigen.spectrum import Spectrum
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.operators.laplacian import Laplacian

@@ -8,7 +8,7 @@ import pytest
 from conftest import creature, two_parts
 
 import spectra_kit as sk
-from spectra_kit.eigen.doubts import DOUBTFUL, proved_excess, verdict
+from spectra_kit.eigen.accuracy import DOUBTFUL, proved_excess, verdict
 from spectra_kit.errors import DoubtfulSpectrumWarning, SpectraKitWarning
 
 K = 24

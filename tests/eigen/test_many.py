@@ -10,7 +10,7 @@ from conftest import GEOMETRIES, creature, data_folder, joined, laplacian_of, mo
 
 import spectra_kit as sk
 from spectra_kit import Neo, eigensolve, eigensolve_many, robust_laplacian
-from spectra_kit.eigen.many import _groups
+from spectra_kit.eigen.solve import _groups
 from spectra_kit.errors import DoubtfulSpectrumWarning, InvalidInputError, SpectraKitError
 from spectra_kit.geometry import sample, torus
 from spectra_kit.neo.train.pool import open_pool
