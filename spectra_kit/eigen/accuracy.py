@@ -17,6 +17,7 @@ from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit._sparse.products import spmm
 from spectra_kit._sparse.ritz import ritz_pairs
 from spectra_kit.eigen.base import Eigensolver
+from spectra_kit.eigen.certificate import Certificate
 from spectra_kit.eigen.multigrid.estimates import in_order
 from spectra_kit.eigen.multigrid.smoothing import smoothed
 from spectra_kit.eigen.spectrum import Spectrum
@@ -30,17 +31,14 @@ _DEGREE = 12  # sparse products; twice as many prove hardly more
 _SMOOTHED = 32  # smoothed at a time, for the sake of memory
 
 
-def with_excess(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
-    """Return a certified spectrum with `Certificate.excess`, where it leaves doubts without it."""
-    certificate = spectrum.certificate
-    assert certificate is not None
+def with_excess(certificate: Certificate, spectrum: Spectrum, laplacian: Laplacian) -> Certificate:
+    """Return the certificate of a spectrum with its `excess`, where it leaves doubts without it."""
     if certificate.errors is not None and (certificate.errors <= _ESTIMATED).all():
-        return spectrum  # these come from smoothing, too
+        return certificate  # these come from smoothing, too
     # Some true eigenvalue lies within the residual of each: smaller ones leave nothing to prove.
     if not (certificate.relative_residuals > DOUBTFUL).any():
-        return spectrum
-    excess = proved_excess(spectrum, laplacian)
-    return spectrum.described(replace(certificate, excess=excess), spectrum.provenance)
+        return certificate
+    return replace(certificate, excess=proved_excess(spectrum, laplacian))
 
 
 def proved_excess(spectrum: Spectrum, laplacian: Laplacian) -> Floats:
@@ -120,23 +118,12 @@ _CLUSTER = 4  # times their residuals: eigenvalues that are closer are one clust
 _COLUMNS = 64  # of L @ U at once, about
 
 
-def with_bounds(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
-    """Return a certified spectrum with `Certificate.errors`, unless it knows them better.
+def with_bounds(certificate: Certificate, spectrum: Spectrum, laplacian: Laplacian) -> Certificate:
+    """Return the certificate of a spectrum with its `errors`, unless it knows them better.
 
-    Parameters
-    ----------
-    spectrum : Spectrum
-        Certified; of modes that a count has verified, the errors are bounds.
-    laplacian : Laplacian
-        Its operator.
+    Of modes that a count has verified they are bounds. It stays as it is where residuals are as
+    large as those of predictions, which tell nothing.
 
-    Returns
-    -------
-    Spectrum
-        As it was where residuals are as large as those of predictions, which tell nothing.
-
-    Notes
-    -----
     Of eigenvalues in a cluster with residuals R of Frobenius norm ``|R|`` and Rayleigh quotients in
     the matrix G, none is off by more than ``|G - diag(theta)| + |R|^2 / gap``, with the gap to
     all eigenvalues of the operator outside of the cluster (Kato and Temple; for clusters, Mathias,
@@ -144,10 +131,8 @@ def with_bounds(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
     are within ``radius`` of true ones, and these within ``|R|`` of those of the complement: both
     are taken off the gap. Where none is left, the bound is the linear one.
     """
-    certificate = spectrum.certificate
-    assert certificate is not None
     if not spectrum.k or certificate.relative_residuals.max() > DOUBTFUL:
-        return spectrum
+        return certificate
     relative, spacing = certificate.relative_residuals, laplacian.eigenvalue_spacing
     some = np.where(relative > 0, relative, 1.0)
     least = np.where(
@@ -156,25 +141,23 @@ def with_bounds(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
     bounded, errors = np.arange(spectrum.k) < certificate.n_verified, certificate.errors
     if errors is None or bounded.any():
         with blas_threads_for(spectrum.eigenvectors.size):
-            own = _absolute(spectrum, laplacian) / least
+            own = _absolute(certificate, spectrum, laplacian) / least
         bounded &= True if errors is None else own < errors
         errors = own if errors is None else np.where(bounded, own, errors)
     mixed = in_order(spectrum.eigenvalues, errors * least) / least
     errors = np.where(bounded, errors, mixed)
-    certificate = replace(certificate, errors=errors, bounded=bounded)
-    return spectrum.described(certificate, spectrum.provenance)
+    return replace(certificate, errors=errors, bounded=bounded)
 
 
-def _absolute(spectrum: Spectrum, laplacian: Laplacian) -> Floats:
+def _absolute(certificate: Certificate, spectrum: Spectrum, laplacian: Laplacian) -> Floats:
     """Return how far the eigenvalues are off, in 1/length^2."""
-    certificate, values, k = spectrum.certificate, spectrum.eigenvalues, spectrum.k
-    assert certificate is not None
+    values, k = spectrum.eigenvalues, spectrum.k
     count, residuals = certificate.count, certificate.residuals
     verified = certificate.n_verified
     radius = count.radius if count else 0.0
     least = rounding(laplacian)
     off = np.empty(k)
-    for (first, last), quotients, gram in _clusters(spectrum, laplacian):
+    for (first, last), quotients, gram in _clusters(residuals, spectrum, laplacian):
         theta = values[first:last]
         apart = float(np.linalg.norm(gram - np.eye(last - first)))  # from orthonormal
         size = (1 + apart) * float(np.linalg.norm(residuals[first:last]))
@@ -196,12 +179,10 @@ def _absolute(spectrum: Spectrum, laplacian: Laplacian) -> Floats:
 
 
 def _clusters(
-    spectrum: Spectrum, laplacian: Laplacian
+    residuals: Floats, spectrum: Spectrum, laplacian: Laplacian
 ) -> Iterator[tuple[tuple[int, int], Floats, Floats]]:
     """Find first and last of modes that belong together, with their ``U^T L U`` and ``U^T M U``."""
-    certificate = spectrum.certificate
-    assert certificate is not None
-    U, residuals = spectrum.eigenvectors, certificate.residuals
+    U = spectrum.eigenvectors
     apart = np.diff(spectrum.eigenvalues) > _CLUSTER * (residuals[1:] + residuals[:-1])
     ends = [*(np.flatnonzero(apart) + 1).tolist(), spectrum.k]
     first = start = 0

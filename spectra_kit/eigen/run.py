@@ -27,10 +27,10 @@ from spectra_kit.eigen.accuracy import (
     with_excess,
 )
 from spectra_kit.eigen.base import Eigenpairs, Eigensolver, NotConvergedError
-from spectra_kit.eigen.certificate import Provenance
+from spectra_kit.eigen.certificate import Certificate, Provenance
 from spectra_kit.eigen.dense import Dense
 from spectra_kit.eigen.refined import Refined
-from spectra_kit.eigen.spectrum import Spectrum
+from spectra_kit.eigen.spectrum import Spectrum, certificate_of
 from spectra_kit.eigen.subspaces.base import Union
 from spectra_kit.eigen.subspaces.given import GivenBasis, RandomBasis, restricted
 from spectra_kit.eigen.verification import count_modes, verify
@@ -182,7 +182,9 @@ class _Run:
         spectrum = self.packed(pairs)
         if spectrum.provenance.accuracy in ("exact", "to tolerance"):
             return self.completed(spectrum)
-        return with_bounds(spectrum, self.laplacian)
+        assert spectrum.certificate is not None
+        told = with_bounds(spectrum.certificate, spectrum, self.laplacian)
+        return spectrum.described(told, spectrum.provenance)
 
     def completed(self, spectrum: Spectrum) -> Spectrum:
         """Count the eigenvalues, and go on from what was found until none is missing.
@@ -196,12 +198,12 @@ class _Run:
             count = replace(count_modes(spectrum, laplacian), added=added)
             self.book("count", time.perf_counter() - begin)
             assert spectrum.certificate is not None
-            counted = spectrum.described(
-                replace(spectrum.certificate, count=count),
-                replace(spectrum.provenance, seconds=self.seconds()),
-            )
+            certificate = replace(spectrum.certificate, count=count)
+            provenance = replace(spectrum.provenance, seconds=self.seconds())
             if not count.missing:
-                return self.estimated(with_bounds(counted, self.laplacian))
+                told = self.estimated(with_bounds(certificate, spectrum, laplacian), spectrum)
+                return spectrum.described(told, provenance)
+            counted = spectrum.described(certificate, provenance)
             room = _NEAR if spectrum.provenance.accuracy == "exact" else 1
             rtol = float(room * spectrum.certificate.relative_residuals.max())
             basis = Union(
@@ -231,16 +233,13 @@ class _Run:
             n_converged=k,
         )
 
-    def estimated(self, spectrum: Spectrum) -> Spectrum:
+    def estimated(self, certificate: Certificate, spectrum: Spectrum) -> Certificate:
         """Hold estimates against counts, where the residuals are too large for a count of all."""
-        certificate = spectrum.certificate
-        assert certificate is not None
         if certificate.n_verified or certificate.errors is None or len(self.parts) > 1:
-            return spectrum
+            return certificate
         unit = np.maximum(spectrum.eigenvalues, self.laplacian.eigenvalue_spacing)
         errors = counted_errors(self.laplacian, spectrum.eigenvalues, certificate.errors * unit)
-        certificate = replace(certificate, errors=errors / unit)
-        return spectrum.described(certificate, spectrum.provenance)
+        return replace(certificate, errors=errors / unit)
 
     def densely(self, k: int, why: str) -> Eigenpairs:
         """Solve small components by LAPACK, where all else gave up."""
@@ -381,15 +380,13 @@ class _Run:
         begin, laplacian = time.perf_counter(), self.laplacian
         pairs = _sorted(pairs)
         spectrum = Spectrum(pairs.eigenvalues, pairs.eigenvectors, laplacian.mass)
-        spectrum = spectrum.certify(laplacian)
-        assert spectrum.certificate is not None
-        if (error := spectrum.certificate.orthonormality_error) > _ORTHONORMAL:
+        certificate = certificate_of(spectrum, laplacian)
+        if (error := certificate.orthonormality_error) > _ORTHONORMAL:
             raise InvalidSpectrumError(
                 f"{self.name} returned modes that are not M-orthonormal: |U^T M U - I| is"
                 f" {error:.2e}"
             )
-        certificate = replace(spectrum.certificate, errors=pairs.errors)
-        spectrum = with_excess(spectrum.described(certificate, spectrum.provenance), laplacian)
+        certificate = with_excess(replace(certificate, errors=pairs.errors), spectrum, laplacian)
         self.book("certify", time.perf_counter() - begin)
         solver, reason = self.solver_of_most()
         provenance = Provenance(
@@ -404,7 +401,7 @@ class _Run:
             name=_name_of(solver),
             reason=reason,
         )
-        return spectrum.described(spectrum.certificate, provenance)
+        return spectrum.described(certificate, provenance)
 
     @property
     def promise(self) -> str:
