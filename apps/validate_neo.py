@@ -14,12 +14,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from measure.command import exit_code, parser_of
+from studies.command import exit_code, parser_of
 
 from spectra_kit.eigen import Cascade, Neo
 from spectra_kit.eigen.subspaces import AmbientFourier
+from spectra_kit.neo.train.corpus import open_shards
 from spectra_kit.neo.train.evaluation import errors_of, kinds, typical
-from spectra_kit.neo.train.shards import open_shards
 
 _MEANS = {"predicted": typical, "span": typical, "value": typical, "steps": np.mean}
 _BANDWIDTH = 7.0  # of the best of a few hundred plane waves, and of a network's

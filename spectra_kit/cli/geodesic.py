@@ -17,7 +17,7 @@ from spectra_kit.cli.words import stem
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import DistanceField, FacePoint, HeatGeodesics, Iterative
-from spectra_kit.geodesics.heat import exact_field
+from spectra_kit.geodesics.exact import exact_field
 from spectra_kit.geodesics.sources import check_sources
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.geometry.formats import ply

@@ -19,6 +19,7 @@ _SAME = (
     "operator",
     "boundary",
     "cloud",
+    "descriptors",
 )
 _MANY = ("nworkers", "nthreads", "memory_limit", "scheduler", "scheduler_file")  # of Dask
 _OPTIONS = {

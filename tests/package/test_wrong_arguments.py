@@ -36,13 +36,12 @@ from spectra_kit import (
     interop,
     learn,
     maps,
-    metrics,
     neo,
     operators,
     show,
-    subspaces,
 )
 from spectra_kit._core.checked import _LATE
+from spectra_kit.eigen import metrics, subspaces
 from spectra_kit.errors import InvalidInputError, SpectraKitError
 
 # Their arrays are checked by whom they serve; the command line has its own tests.
@@ -168,13 +167,11 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     dataset = learn.StoreDataset(spectra)
     datasets.complete(spectra, "copy.obj", folder / "mesh.obj", plan)
     pair_of_names = datasets.Pair(source="mesh.obj", target="copy.obj")
-    made = datasets.Matched(
+    of_map = datasets.MapRecord(
         **{"key": "0" * 32, "score": 0.1, "margin": 2.0, "mirror_margin": 2.0, "coverage": 1.5},
         **{"orientation": 1.0, "confidence": 0.9, "mirrored": False},
-        **{"ambiguous": False, "convincing": True},
-        **{"doubts": (), "computed": True, "replaced": (), "seconds": 0.1},
+        **{"ambiguous": False, "convincing": True, "doubts": ()},
     )
-    of_pairs = datasets.BatchReport(completed=((pair_of_names, made),), failed=(), seconds=0.1)
     portrait = show.Portrait(geometry=mesh, labels=halves, lines=("x",))
     quick = maps.MatchOptions(
         **{"orders": 1, "growing": 8, "kept": ((8, 2),), "turns": 1, "placed": 1},
@@ -204,7 +201,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
             datasets.DaskEngine(scheduler="tcp://127.0.0.1:8786"),
             pair_of_names,
             datasets.Matching(),
-            made,
+            of_map,
         ),
         *(dataset, recipe, classifier, segmenter, index, portrait, learn.Training(epochs=1)),
         *(show.View(), sk.RayleighRitz(), geodesics.WithinMemory(), given, map_errors),
@@ -316,7 +313,6 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("arrays", {"point_map": same}),
         ("Pair.source Pair.target", "mesh.obj"),
         ("load_match.key SpectrumStore.load_map.key SpectrumStore.has_map.key", "0" * 32),
-        ("write_match_table.report", of_pairs),
         ("complete.file", "mesh.obj"),
         ("SpectrumStore.descriptor.name SpectrumStore.descriptor_key.name", "dna"),
         ("SpectrumStore.entries.kind", "shapes"),
@@ -448,8 +444,7 @@ ALSO = {
     "BatchReport.completed": {"array"},
     "BatchReport.failed": {"array"},
     "match_all.pairs": {"array"},
-    "Matched.doubts": {"array of U"},
-    "Matched.replaced": {"array of U"},
+    "MapRecord.doubts": {"array of U"},
     "inputs": {"array"},
     "Completed.replaced": {"array of U"},
     "Plan.solver": {"Arpack"},
