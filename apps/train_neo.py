@@ -216,7 +216,7 @@ def _hourly(out: Path, full: Corpus) -> Callable[[NeoNetwork, Row], None]:
             f" samples: span error {_errors(row)}; geometric means of"
         )
         once, whole = (
-            errors_of(Neo(weights=path, smoothing=n), full) for n in (1, Neo().smoothing)
+            errors_of(Neo(weights=path, max_steps=n), full) for n in (1, Neo().max_steps)
         )
         for form, which in (("clouds", 0), ("meshes", 1)):
             chosen = full.labels["mesh"] == which

@@ -32,7 +32,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("corpus", type=Path, help="folder of shards with operators")
     add("--weights", default="small", help="a name or a file (%(default)s)")
     add("--fourier", type=int, help="so many plane waves in place of a network, smoothed alike")
-    add("--smoothing", type=int, default=Neo().smoothing, help="steps of Neo (%(default)s)")
+    add("--smoothing", type=int, default=Neo().max_steps, help="steps of Neo (%(default)s)")
     add("--most", type=int, help="only so many samples, the first ones")
     add("--worst", type=int, default=10, help="samples to name (%(default)s)")
     options = parser.parse_args(argv)
@@ -41,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _validate(options: Namespace) -> None:
     corpus = open_shards(options.corpus)
-    solver: Neo | Cascade = Neo(weights=options.weights, smoothing=options.smoothing)
+    solver: Neo | Cascade = Neo(weights=options.weights, max_steps=options.smoothing)
     if options.fourier is not None:
         waves = AmbientFourier(m=options.fourier, bandwidth=_BANDWIDTH)
         solver = Cascade(subspace=waves, coarsest=sys.maxsize, max_steps=options.smoothing)

@@ -183,7 +183,7 @@ class Clouds(Study[Path, str]):
         """Return the errors by cloud; where there are no exact eigenvalues, those of the span."""
         if problem == "held-out":
             return {"errors": self._held_out_errors(NeoSubspace(contender))}
-        solver = Neo(weights=contender, smoothing=0)
+        solver = Neo(weights=contender, max_steps=0)
         return {"errors": {path.stem: self._error(path, problem, solver) for path in self.meshes}}
 
     def _held_out_errors(self, subspace: NeoSubspace) -> Errors:

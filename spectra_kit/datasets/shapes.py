@@ -23,7 +23,7 @@ from spectra_kit.datasets.plan import Plan
 from spectra_kit.datasets.run import BatchReport, Completed, Engine, Job, own_order, run
 from spectra_kit.datasets.store import SpectrumStore
 from spectra_kit.eigen import Spectrum, eigensolve_many
-from spectra_kit.eigen.doubts import warn_of_doubts
+from spectra_kit.eigen.accuracy import warn_of_doubts
 from spectra_kit.errors import (
     DamagedEntryWarning,
     IgnoredContentWarning,

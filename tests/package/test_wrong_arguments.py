@@ -203,7 +203,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
             of_map,
         ),
         *(dataset, recipe, classifier, segmenter, index, thumbnail, learn.Training(epochs=1)),
-        *(show.View(), sk.RayleighRitz(), geodesics.Automatic(), given, map_errors),
+        *(show.View(), sk.RayleighRitz(), geodesics.WithinMemory(), given, map_errors),
         *(metrics.compare_spectra(spectrum, spectrum), geometry.repair(mesh)),
         *(sk.ModeCount(verified=3, radius=0.1, floor=2.0), maps.Truth(same, same)),
         *(geometry.sample_with_origin(mesh, 50, seed=0), geometry.Normalization.unit_box(mesh)),

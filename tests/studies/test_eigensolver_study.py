@@ -92,7 +92,7 @@ def test_methods_are_what_is_told_of_them():
     waves, neo = METHODS["fourier"].make("cpu"), METHODS["neo-raw"].make("cpu")
     assert waves.subspace.m == neo.subspace.n_functions
     smoothed, default = METHODS["fourier-smoothed"].make("cpu"), METHODS["neo"].make("cpu")
-    assert (smoothed.max_steps, smoothed.target) == (default.smoothing, default.target)
+    assert (smoothed.max_steps, smoothed.target) == (default.max_steps, default.target)
 
 
 def test_operators_are_of_unit_area_and_clouds_of_any_size(tmp_path):

@@ -114,7 +114,7 @@ def test_what_the_solver_finds_is_found(measured):
 
 def test_what_is_timed_is_what_the_solver_does(animal, tmp_path):
     case = Case(shape=animal, points=1200)
-    solved = eigensolve(case.laplacian(), 10, Neo(smoothing=0))
+    solved = eigensolve(case.laplacian(), 10, Neo(max_steps=0))
     study = Accuracy(folder=Store(tmp_path).folder, contenders=[], problems=[], k=10)
     exact, timed, _ = study.compare(SMALL, case)
     # But for rounding, which follows from where arrays lie in memory.
@@ -278,7 +278,7 @@ def test_smoothed_methods_are_what_neo_does(animal, tmp_path):
     case = Case(shape=animal, points=1200)
     study = Accuracy(folder=Store(tmp_path).folder, contenders=[], problems=[], k=10)
     _, found, comparison = study.compare(network("small", steps=2), case)
-    solved = eigensolve(case.laplacian(), 10, Neo(smoothing=2))
+    solved = eigensolve(case.laplacian(), 10, Neo(max_steps=2))
     np.testing.assert_allclose(found.eigenvalues, solved.eigenvalues, rtol=1e-9, atol=1e-12)
     assert comparison.span_dimension == 10
     m = SMALL.columns

@@ -193,8 +193,8 @@ METHODS: dict[str, Method] = {
     "fourier-512-smoothed": _waves(512, 20),
     "neo": _ours("neo", device=True),
     "neo-2": _ours("neo", device=True, poses=2),
-    "neo-raw": _ours("neo", device=True, smoothing=0),
-    "neo-cap": _ours("neo", device=True, cap=2048),
+    "neo-raw": _ours("neo", device=True, max_steps=0),
+    "neo-cap": _ours("neo", device=True, coarsest=2048),
     "neo-1e-5": _ours("neo", device=True, target=1e-5),
     "automatic-1e-2": _ours("automatic", device=True, accuracy=1e-2),
     "automatic-1e-3": _ours("automatic", device=True, accuracy=1e-3),
@@ -209,6 +209,7 @@ METHODS: dict[str, Method] = {
     "refined-random": _ours("refined", start=SUBSPACES["random"](m=144)),
     "refined-random-1e-2": _ours("refined", start=SUBSPACES["random"](m=144), stops=_LOOSE),
     "arpack": _ours("arpack"),
+    "lanczos": _ours("lanczos"),
     "eigsh": _theirs(ScipyEigsh(), _EXACT),
     "eigsh-1e-6": _theirs(ScipyEigsh(tol=_RTOL), _AT_RTOL),
     "eigsh-dnet": _theirs(DiffusionNetEigsh(), _EXACT),
@@ -219,7 +220,7 @@ METHODS: dict[str, Method] = {
 STARTS = tuple(
     name
     for name in METHODS
-    if name.partition("-")[0] in ("fourier", "neo", "cascade", "refined", "arpack")
+    if name.partition("-")[0] in ("fourier", "neo", "cascade", "refined", "lanczos")
     or name == BASELINE
 )
 #: What a quick comparison measures.

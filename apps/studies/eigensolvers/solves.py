@@ -83,7 +83,7 @@ class Preparation(Study[str, Recipe]):
 
     name = "problem"
     # Nothing else decides them, and at 500,000 points they take minutes.
-    sources = ("geometry/**/*.py", "operators/**/*.py", "eigen/arpack.py")
+    sources = ("geometry/**/*.py", "operators/**/*.py", "eigen/lanczos.py")
     fresh = False
     contenders: Sequence[str] = (OPERATOR, EXACT)
     k: int  #: Modes.
@@ -106,7 +106,7 @@ class Preparation(Study[str, Recipe]):
         if contender == EXACT:
             laplacian = read_operator(self.file(OPERATOR, problem, ".npz"))
             with clocked():
-                spectrum = eigensolve(laplacian, self.k, SOLVERS["arpack"](tol=0.0))
+                spectrum = eigensolve(laplacian, self.k, SOLVERS["automatic"](memory=1e3))
             with atomic_path(path) as part:
                 np.savez(part, eigenvalues=spectrum.eigenvalues)
             return files

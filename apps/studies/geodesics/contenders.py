@@ -12,7 +12,7 @@ import numpy as np
 
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit.eigen import Spectrum
-from spectra_kit.geodesics import Automatic, Direct, HeatGeodesics, Iterative
+from spectra_kit.geodesics import Direct, HeatGeodesics, Iterative, WithinMemory
 from spectra_kit.geodesics.solvers import Solver
 from spectra_kit.geometry import PointCloud, TriangleMesh
 
@@ -116,9 +116,9 @@ CONTENDERS: Mapping[str, Contender] = {
     f"projected, {MODES} NEO modes": _ours(_PROJECTED, "neo"),
     "threshold IC": _ours(Iterative(coarse="none", drop=1e-2, relaxation=0.0)),
     "relaxed threshold IC": _ours(Iterative(coarse="none")),
-    AUTOMATIC: _ours(Automatic(), "exact"),
-    "automatic, NEO modes": _ours(Automatic(), "neo"),
-    UNAIDED: _ours(Automatic()),
+    AUTOMATIC: _ours(WithinMemory(), "exact"),
+    "automatic, NEO modes": _ours(WithinMemory(), "neo"),
+    UNAIDED: _ours(WithinMemory()),
     DIRECT: _ours(Direct()),
     ROBUST: _theirs("potpourri3d", partial(_potpourri3d, robust=True)),
     PLAIN: _theirs("potpourri3d", partial(_potpourri3d, robust=False)),

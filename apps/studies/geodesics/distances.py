@@ -33,7 +33,7 @@ from studies.worker import clocked
 
 #: How modes are made.
 EIGENSOLVERS: Mapping[str, Callable[[], Eigensolver]] = {
-    "exact": lambda: SOLVERS["arpack"](),
+    "exact": lambda: SOLVERS["automatic"](),
     "neo": lambda: SOLVERS["neo"](),
 }
 

@@ -18,7 +18,7 @@ from spectra_kit import learn
 from spectra_kit._core.files import atomic_path
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count
-from spectra_kit.eigen import Arpack, Eigensolver, Neo
+from spectra_kit.eigen import Automatic, Eigensolver, Neo
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh, sample
 from spectra_kit.learn.examples import Example, prepared
@@ -40,7 +40,7 @@ SHOWN = 30_000
 COPIES = 7  #: Of each example, stretched.
 _SEEN = 512  # points of each at a time; all of them in tests
 
-SOLVERS: dict[str, Eigensolver] = {"exact": Arpack(), "predicted": Neo()}
+SOLVERS: dict[str, Eigensolver] = {"exact": Automatic(), "predicted": Neo()}
 #: Of whole shapes, for heads; side by side, as rows name them: ``waves+dna``.
 WHOLE: dict[str, e.Embedding] = {
     "dna": e.ShapeDNA(count=45),

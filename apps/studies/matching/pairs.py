@@ -28,9 +28,9 @@ from studies.study import Result, Study, run
 
 Kind = Literal["mesh", "cloud"]
 KINDS: tuple[Kind, ...] = ("mesh", "cloud")
-#: From the weights to what solves: ARPACK, the network, refined to the end.
+#: From the weights to what solves: exactly, the network, refined to the end.
 BACKENDS: dict[str, Callable[[str], Eigensolver]] = {
-    "exact": lambda weights: SOLVERS["arpack"](),
+    "exact": lambda weights: SOLVERS["automatic"](),
     "neo": lambda weights: SOLVERS["neo"](weights=weights),
     "neo-refined": lambda weights: SOLVERS["refined"](start=SUBSPACES["neo"](weights)),
 }

@@ -15,9 +15,9 @@ import torch
 
 from spectra_kit._core.fingerprint import facts_digest
 from spectra_kit._core.types import Floats
+from spectra_kit._sparse.blocks import device_clock
 from spectra_kit._sparse.orthonormal import orthonormalize
 from spectra_kit._sparse.ritz import ritz_pairs
-from spectra_kit._sparse.torch_device import device_clock
 from spectra_kit.eigen import Dense, Spectrum, eigensolve
 from spectra_kit.eigen.base import Eigenpairs
 from spectra_kit.eigen.metrics import Comparison, compare_spectra

@@ -105,7 +105,7 @@ def lead(row: Row, rows: Sequence[Row]) -> float | None:
 # --- model by model ---
 
 #: Of smoothing, at most: none, one, and what `Neo` is allowed by default.
-STEPS = (0, 1, Neo.smoothing)
+STEPS = (0, 1, Neo.max_steps)
 #: The column by which models are ranked.
 WORST = "eigenvalue error"
 _BEFORE, _ONCE = f"{WORST} before", "after one step"

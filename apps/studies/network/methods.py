@@ -62,7 +62,7 @@ def network(
         return subspace.predict(points, mass if weighted else np.ones(len(mass)), frame)
 
     options = {"poses": poses, "dtype": dtype, "weighted": weighted, "device": device}
-    solver = Neo(weights=weights, poses=poses, dtype=dtype, device=device, smoothing=steps)
+    solver = Neo(weights=weights, poses=poses, dtype=dtype, device=device, max_steps=steps)
     return Method(
         name=f"neo {label(weights)}, {poses} pose{'s' * (poses > 1)}{_smoothed(steps)}",
         group="network",

@@ -98,7 +98,7 @@ def errors_of(
         functions; ``span``, that of the k modes after smoothing; ``value``, the relative error of
         their eigenvalues, the constant's left out. And ``steps``, which the solver took: it goes on
         until it is as good as asked for, so these tell more of a network than the errors, or its
-        errors after ``smoothing=1``.
+        errors after ``max_steps=1``.
 
     Examples
     --------

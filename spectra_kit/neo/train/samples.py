@@ -18,8 +18,8 @@ from scipy import sparse
 
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, hearing
-from spectra_kit.eigen import Arpack
 from spectra_kit.eigen.base import NotConvergedError
+from spectra_kit.eigen.lanczos import cheapest
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry.sampling import GaussianDensity, sample
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
@@ -32,7 +32,7 @@ from spectra_kit.operators.laplacian import Laplacian
 FROM_POOL = -1  # the label `family` of samples that are real meshes
 REASONS = ("mesh", "components", "solve")  # of rejection
 # Of eigenvalues. Spans then agree to 1e-7 with those to rounding; float16 holds 3 digits.
-_SOLVER = Arpack(tol=1e-4)
+_TOL = 1e-4
 _PATIENCE = 4  # rejections after which a sample tries another family or mesh of the pool
 # Vertices of a mesh for each mode: those aimed at, and those that must be left of them. On fewer,
 # the modes are nearly all functions that there are, and those of a network all.
@@ -383,7 +383,7 @@ def _attempted(
         if laplacian.n_components > 1:
             return "components"
         # Not by `eigensolve`: certificate and count of modes would be a third of the work.
-        pairs = _SOLVER.eigenpairs(laplacian, config.k)
+        pairs = cheapest(laplacian.n, config.k, tol=_TOL).eigenpairs(laplacian, config.k)
     except (InvalidInputError, ConvergenceError, NotConvergedError):
         return "solve"
     area, order = laplacian.area, np.argsort(pairs.eigenvalues)
