@@ -37,7 +37,8 @@ from measure.store import Store, code_digest
 
 from spectra_kit import prepare, spectrum
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
-from spectra_kit.maps import geodesic_distances, match_part
+from spectra_kit.geodesics import pair_distances
+from spectra_kit.maps import match_part
 
 _MODES = 200
 
@@ -81,7 +82,7 @@ def measure(subjects: dict[str, Subject], pair: CutPair) -> dict[str, Any]:
     seconds = time.process_time() - start
     both = kept & left[other.landmarks] & np.isin(one.landmarks, piece.vertices)
     places = piece.vertices[found.point_map[other.landmarks[both]]]
-    errors = geodesic_distances(one.mesh, one.landmarks[both], places)
+    errors = pair_distances(one.mesh, one.landmarks[both], places)
     return {
         "status": "ok",
         "pair": str(pair),

@@ -22,11 +22,10 @@ from spectra_kit.maps import (
     functional_map_from_point_map,
     geodesic_errors,
     match_collection,
-    mismatches,
     prepare,
-    score_of,
+    score_map,
 )
-from spectra_kit.maps.confidence import confidence_of
+from spectra_kit.maps.calibration import confidence_of
 from spectra_kit.maps.synchronise import Found, apart, graph, groups, synchronised
 
 K = 60
@@ -122,7 +121,7 @@ def test_a_stranger_moves_nothing(collection, kept) -> None:
 def test_a_map_without_a_rival_is_no_surer_for_it(collection) -> None:
     one = collection.pair("1", "2", elastic=False)
     assert one.margin == np.inf
-    facts = {"score": one.score, "torn": one.torn, "coverage": one.coverage}
+    facts = {"score": one.score, "discontinuity": one.discontinuity, "coverage": one.coverage}
     assert one.confidence == confidence_of(**facts, margin=1.0)
 
 
@@ -193,7 +192,7 @@ def test_wrong_pairs_are_overruled_by_the_others() -> None:
     def matched(i: int, j: int) -> Found:
         C = right[i, j]
         maps = [flip[:, None] * C for flip in flips] + ([C] if (i, j) != (1, 3) else [])
-        scores = [score_of(mismatches(shapes[i], shapes[j], one)) for one in maps]
+        scores = [score_map(shapes[i], shapes[j], one).score for one in maps]
         if (i, j) != (1, 3):  # claims that do not hold
             scores[0] = 0.9 * min(scores)
         return Found(np.array(maps), np.array(scores), np.zeros(len(maps)), convincing=True)

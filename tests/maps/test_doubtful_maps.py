@@ -23,7 +23,7 @@ from spectra_kit.geometry import (
     torus,
 )
 from spectra_kit.maps import Match, Prepared, match, match_part, prepare
-from spectra_kit.maps.topology import clustered, topology_of
+from spectra_kit.maps.surface import clustered, topology_of
 
 K = 50
 QUICK = {"elastic": False, "mirrored": False}
@@ -236,7 +236,7 @@ def test_an_initial_map_is_refined(kind) -> None:
 def test_an_initial_map_of_dense_surfaces_is_one_of_all_points() -> None:
     mesh = creature(2400)
     side = prepare(eigensolve(robust_laplacian(mesh), K), mesh, n_points=1000)
-    assert side.dense is not None
+    assert side.subsample is not None
     found = match(side, side, initial=np.arange(mesh.n), mirrored=False)
     assert (found.point_map == np.arange(mesh.n)).mean() > 0.9
 

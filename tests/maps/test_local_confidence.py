@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import creature
-from test_matching import prepared
+from test_match import prepared
 
 from spectra_kit import spectrum
 from spectra_kit.errors import InvalidInputError

@@ -16,8 +16,8 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from measure.matching.subjects import Subject
 from spectra_kit._core.types import Bools, Floats, Ints
+from spectra_kit.geodesics import edge_graph
 from spectra_kit.geometry import TriangleMesh, largest_component
-from spectra_kit.maps import edge_graph
 
 REFERENCE = "tr_reg_000"
 _TILT = 15.0  # degrees, the most by which a plane leans

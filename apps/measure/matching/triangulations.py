@@ -21,7 +21,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh, largest_component
 from spectra_kit.geometry.implicit import polygonize
 from spectra_kit.interop import to_pyvista
-from spectra_kit.maps.curvature import outward_normals
+from spectra_kit.maps.surface import outward_normals
 from spectra_kit.operators.oriented import oriented_triangles
 
 _TURN = 0.1  # of the root of the area: what a turn by one radian counts like, anisotropic

@@ -14,21 +14,22 @@ from scipy.sparse.csgraph import dijkstra
 
 import spectra_kit as sk
 from spectra_kit import TriangleMesh
+from spectra_kit.geodesics import edge_graph
+from spectra_kit.geodesics._edge_kernels import farthest_along_edges
 from spectra_kit.geometry import Geometry, creature_pair, permuted, sphere
 from spectra_kit.maps import (
     Match,
     Prepared,
     Truth,
-    edge_graph,
     geodesic_errors,
     match,
     nearest_rows,
     prepare,
 )
-from spectra_kit.maps._kernels import farthest_along_edges
-from spectra_kit.maps.curvature import outward_normals
-from spectra_kit.maps.dense import Dense, image, nearest_within
-from spectra_kit.maps.precise import into_triangles
+from spectra_kit.maps.convert import into_triangles
+from spectra_kit.maps.nearest import nearest_within
+from spectra_kit.maps.subsample import Subsample, image
+from spectra_kit.maps.surface import outward_normals
 from spectra_kit.operators import oriented_triangles
 
 K = 60
@@ -63,8 +64,8 @@ def source(mesh) -> Prepared:
 
 
 @pytest.fixture(scope="module")
-def dense(source) -> Dense:
-    return source.dense
+def dense(source) -> Subsample:
+    return source.subsample
 
 
 def spacing(mesh: TriangleMesh) -> float:
@@ -85,10 +86,10 @@ def test_only_surfaces_of_more_than_twice_as_many_points_are_thinned(mesh, coars
     assert repr(source).startswith(f"Prepared(n={source.spectrum.n} of {mesh.n}, k={K}")
     for n_points in (mesh.n // 2 + 1, 5000):
         full = prepare(sk.spectrum(mesh, K), mesh, n_points=n_points)
-        assert full.dense is None
+        assert full.subsample is None
         assert full.whole is full.spectrum
-    assert thin(coarse).dense is None
-    assert prepare(sk.spectrum(mesh, K), n_points=FEW).dense is None  # without a geometry
+    assert thin(coarse).subsample is None
+    assert prepare(sk.spectrum(mesh, K), n_points=FEW).subsample is None  # without a geometry
 
 
 def test_farthest_points_along_edges_are_the_farthest(mesh) -> None:
@@ -107,8 +108,8 @@ def test_farthest_points_along_edges_are_the_farthest(mesh) -> None:
 def test_the_numbering_and_the_place_of_a_mesh_do_not_matter(mesh, source) -> None:
     shuffled, truth = permuted(mesh, seed=1)
     same = thin(shuffled.with_points(25.4 * shuffled.points @ TURN))
-    assert (truth[same.dense.chosen] == source.dense.chosen).all()
-    assert (same.dense.closest == source.dense.closest[truth]).all()
+    assert (truth[same.subsample.chosen] == source.subsample.chosen).all()
+    assert (same.subsample.closest == source.subsample.closest[truth]).all()
     assert same.spectrum.mass == pytest.approx(source.spectrum.mass)
 
 
@@ -149,7 +150,7 @@ def volume(points: np.ndarray, faces: np.ndarray) -> float:
 
 
 def test_the_triangles_of_the_chosen_points_enclose_the_body(source, dense) -> None:
-    faces, whole = source.surface.oriented.faces, dense.placed
+    faces, whole = source.surface.oriented.faces, dense.surface
     assert len(np.unique(faces)) == source.spectrum.n
     assert volume(source.surface.points, faces) == pytest.approx(
         volume(whole.points, whole.oriented.faces), rel=0.05
@@ -163,11 +164,11 @@ def test_truncated_is_as_if_made_of_fewer_modes(mesh) -> None:
     spectrum = sk.spectrum(mesh, K)
     cut = prepare(spectrum, mesh, n_points=FEW).truncate(40)
     made = prepare(spectrum.truncate(40), mesh, n_points=FEW)
-    assert (cut.dense.chosen == made.dense.chosen).all()
+    assert (cut.subsample.chosen == made.subsample.chosen).all()
     assert (cut.samples == made.samples).all()
     assert cut.wave == pytest.approx(made.wave)
     again = pickle.loads(pickle.dumps(cut))
-    assert (again.dense.closest == cut.dense.closest).all()
+    assert (again.subsample.closest == cut.subsample.closest).all()
     assert again.whole.k == 40
 
 
@@ -175,7 +176,7 @@ def test_truncated_is_as_if_made_of_fewer_modes(mesh) -> None:
 
 
 def test_a_rigid_motion_is_carried_to_all_points(dense) -> None:
-    points = dense.placed.points
+    points = dense.surface.points
     moved = points @ TURN.T + [0.3, -0.1, 2.0]
     turns = np.broadcast_to(TURN, (len(dense.chosen), 3, 3))
     assert dense.carried(moved[dense.chosen], turns, points) == pytest.approx(moved)
@@ -185,7 +186,7 @@ def test_values_are_averaged_around_each_point(mesh, dense) -> None:
     """So they move points by less than the chosen ones are apart, and constants stay."""
     assert dense.lift.sum(axis=1) == pytest.approx(np.ones(mesh.n))
     assert dense.lift.data.min() > 0
-    points = dense.placed.points
+    points = dense.surface.points
     apart = np.linalg.norm(points - points[dense.chosen[dense.closest]], axis=1)
     moved = np.linalg.norm(dense.lift @ points[dense.chosen] - points, axis=1)
     assert moved.max() < 2 * apart.max()
