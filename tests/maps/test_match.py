@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -19,6 +20,7 @@ from spectra_kit.geometry import (
     permuted,
     rectangle,
     sphere,
+    write,
 )
 from spectra_kit.maps import (
     Candidate,
@@ -36,6 +38,8 @@ from spectra_kit.maps.calibration import confidence_of
 from spectra_kit.maps.surface import discontinuity
 
 K = 100
+# A search of fewer candidates: enough where the answer is clear.
+QUICK = MatchOptions(orders=8, growing=32, turns=6, finalists=4)
 TURN = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
 TURN *= np.linalg.det(TURN)
 
@@ -94,13 +98,25 @@ def test_a_copy_gives_the_permutation_in_every_process(mesh, spectrum, source) -
         assert [c.score for c in other.candidates] == [c.score for c in found.candidates]
 
 
+def test_meshes_and_files_are_prepared_by_the_way(mesh, tmp_path) -> None:
+    """With 150 modes each."""
+    write(mesh, tmp_path / "animal.ply")
+    found = match(tmp_path / "animal.ply", mesh, k=60, options=QUICK)
+    assert (found.point_map == np.arange(mesh.n)).all()
+    assert found.functional_map.shape == (60, 60)
+    made = prepare(mesh)
+    assert made.spectrum.k == 150
+    assert made.geometry is not None
+    refused("geometry", "be left out where", prepare, mesh, mesh)
+
+
 def test_scans_with_holes_have_an_outside(mesh) -> None:
     """However their faces are wound: a copy with all of them turned is no mirror image."""
     near = np.argsort(((mesh.points - mesh.points[0]) ** 2).sum(axis=1))[:12]
     kept = mesh.faces[~np.isin(mesh.faces, near).any(axis=1)]
     holed = TriangleMesh(mesh.points, kept).without_unreferenced()
     turned = TriangleMesh(holed.points, holed.faces[:, ::-1])
-    found = match(prepared(holed, 60), prepared(turned, 60), elastic=False)
+    found = match(prepared(holed, 60), prepared(turned, 60), elastic=False, options=QUICK)
     assert (found.point_map == np.arange(holed.n)).all()
     assert not found.mirrored
 
@@ -115,7 +131,7 @@ def test_a_rolled_sheet_matches_the_flat_one() -> None:
     rolled = [np.interp(x, steps, along[0]), y, np.interp(x, steps, along[1])]
     pair = [prepared(flat.with_points(np.column_stack(rolled)), 40), prepared(flat, 40)]
     for sides in (pair, pair[::-1]):
-        images = flat.points[match(*sides, elastic=False).point_map]
+        images = flat.points[match(*sides, elastic=False, options=QUICK).point_map]
         # A rectangle has four symmetries, and the map is near one of them.
         ends = flat.points.min(axis=0) + flat.points.max(axis=0)
         apart = [
@@ -133,7 +149,11 @@ def test_a_mirrored_copy_is_seen_as_one(mesh, source) -> None:
     image = moved(TriangleMesh(image.points, image.faces[:, ::-1]))
     found, kept, stubborn = (
         match(source, prepared(image), **asked)
-        for asked in ({}, {"mirrored": False}, {"options": MatchOptions(mirrored_by=1e6)})
+        for asked in (
+            {},
+            {"mirrored": False, "options": QUICK},
+            {"options": replace(QUICK, mirrored_by=1e6)},
+        )
     )
     assert (found.mirrored, kept.mirrored, stubborn.mirrored) == (True, False, False)
     assert (found.point_map == truth).all()
@@ -165,10 +185,10 @@ def test_bending_improves_a_match_and_clouds_do_as_well() -> None:
     mesh, bent, _ = creature_pair(700, seed=2)
     a, b, cloud = prepared(mesh), prepared(bent), prepared(bent.as_cloud())
     found, stiff, forced, seen = (
-        match(a, b),
-        match(a, b, elastic=False, mirrored=False),
-        match(a, prepared(mirrored(bent)), mirrored=True),
-        match(a, cloud),
+        match(a, b, options=QUICK),
+        match(a, b, elastic=False, mirrored=False, options=QUICK),
+        match(a, prepared(mirrored(bent)), mirrored=True, options=QUICK),
+        match(a, cloud, options=QUICK),
     )
     assert mean_error(mesh, found) < mean_error(mesh, stiff) < 1.0
     assert found.score == stiff.score
@@ -181,7 +201,7 @@ def test_bending_improves_a_match_and_clouds_do_as_well() -> None:
 def test_clouds_have_sides_too(mesh) -> None:
     cloud = mesh.as_cloud()
     image, truth = permuted(mirrored(cloud), seed=6)
-    found = match(prepared(cloud, 60), prepared(moved(image), 60))
+    found = match(prepared(cloud, 60), prepared(moved(image), 60), options=QUICK)
     assert (found.point_map == truth).all()
     assert found.mirrored
     assert found.orientation == pytest.approx(-1, abs=1e-2)
@@ -193,7 +213,7 @@ def test_clouds_have_sides_too(mesh) -> None:
 def test_unlike_surfaces_score_badly(source) -> None:
     """One of them has fewer points than samples are asked for."""
     with pytest.warns(DoubtfulMatchWarning, match="no convincing map: its confidence is 0.[0-4]"):
-        found = match(source, prepared(sphere(subdivisions=2).geometry, 60))
+        found = match(source, prepared(sphere(subdivisions=2).geometry, 60), options=QUICK)
     assert found.score > 0.4
     assert np.isfinite(found.margin)
     assert not found.convincing
@@ -333,7 +353,7 @@ def test_landmarks_settle_a_symmetry() -> None:
     for turned in (np.array([-1.0, -1, 1]), np.array([1.0, -1, -1])):
         images = np.argmin(((one.points[:, None] - turned * one.points) ** 2).sum(axis=2), axis=0)
         there = np.argsort(truth)[images[here]]
-        found = match(a, b, landmarks=(here, there), mirrored=False)
+        found = match(a, b, landmarks=(here, there), mirrored=False, options=QUICK)
         assert np.abs(turned * shuffled.points - one.points[found.point_map]).max() < 0.2
 
 
@@ -345,7 +365,7 @@ def test_of_unequal_spectra_the_longer_is_truncated(source, spectrum, mesh) -> N
     np.testing.assert_array_equal(source.truncate(60).wave, short.wave)
     np.testing.assert_array_equal(source.truncate(60).curvature, short.curvature)
     assert source.truncate(K) is source
-    quick = {"k": 30, "elastic": False, "mirrored": False}
+    quick = {"k": 30, "elastic": False, "mirrored": False, "options": QUICK}
     both = match(short, short, **quick)
     for pair in ((source, short), (short, source)):
         found = match(*pair, **quick)

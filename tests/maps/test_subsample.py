@@ -11,6 +11,7 @@ import pytest
 from conftest import creature, refused
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
+from test_match import QUICK, TURN
 
 import spectra_kit as sk
 from spectra_kit import TriangleMesh
@@ -18,7 +19,6 @@ from spectra_kit.geodesics import edge_graph
 from spectra_kit.geodesics._edge_kernels import farthest_along_edges
 from spectra_kit.geometry import Geometry, creature_pair, permuted, sphere
 from spectra_kit.maps import (
-    Match,
     Prepared,
     Truth,
     geodesic_errors,
@@ -34,8 +34,6 @@ from spectra_kit.operators import oriented_triangles
 
 K = 60
 FEW = 1000  # points that dense surfaces are matched on here
-TURN = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
-TURN *= np.linalg.det(TURN)
 
 
 def refined(mesh: TriangleMesh) -> TriangleMesh:
@@ -212,7 +210,8 @@ def test_the_nearest_within_all_cells_is_the_nearest() -> None:
 
 def test_a_copy_of_a_dense_mesh_is_found(mesh, source) -> None:
     shuffled, truth = permuted(mesh, seed=1)
-    found = match(source, thin(shuffled.with_points(25.4 * shuffled.points @ TURN)))
+    found = match(source, thin(shuffled.with_points(25.4 * shuffled.points @ TURN)), options=QUICK)
+    assert found.precise is None
     assert (found.point_map == truth).all()
     assert found.orientation == pytest.approx(1)
     assert found.coverage > 1.5
@@ -224,37 +223,48 @@ def test_a_copy_of_a_dense_mesh_is_found(mesh, source) -> None:
 
 @pytest.mark.parametrize("elastic", [True, False])
 def test_a_refined_body_matches_its_coarse_self(coarse, mesh, source, elastic) -> None:
-    """Either way round: the first vertices of the refined one are those of the coarse one."""
+    """Either way round: the first vertices of the refined one are those of the coarse one.
+
+    Its new vertices are in the middle of edges of the coarse one, and a precise map knows it.
+    """
     plain, old = thin(coarse), np.arange(coarse.n)
-    onto_dense = match(plain, source, elastic=elastic)
+    onto_dense = match(plain, source, elastic=elastic, precise=True, options=QUICK)
     assert len(onto_dense.point_map) == mesh.n
     assert errors(coarse, onto_dense.point_map[old], old).mean() < 0.5 * spacing(coarse)
-    onto_coarse = match(source, plain, elastic=elastic)
+    precise = onto_dense.precise
+    assert precise.shape == (mesh.n, coarse.n)
+    assert precise.sum(axis=1) == pytest.approx(np.ones(mesh.n))
+    assert precise.data.min() > 0
+    apart = np.linalg.norm(precise @ coarse.points - mesh.points, axis=1).mean()
+    nearest = np.linalg.norm(coarse.points[onto_dense.point_map] - mesh.points, axis=1).mean()
+    assert apart < 0.7 * nearest
+    onto_coarse = match(source, plain, elastic=elastic, precise=True, options=QUICK)
     assert errors(mesh, onto_coarse.point_map, old).mean() < spacing(mesh)
+    assert onto_coarse.precise.shape == (coarse.n, mesh.n)
 
 
 @pytest.mark.parametrize("elastic", [True, False])
 def test_a_dense_pair_agrees_with_the_coarse_one(elastic) -> None:
     one, other, _ = creature_pair(1000, 1100, seed=1)
     fine = refined(one), refined(other)
-    found = match(*(thin(side) for side in fine), elastic=elastic)
-    usual = match(*(thin(side) for side in (one, other)), elastic=elastic)
+    found = match(*(thin(side) for side in fine), elastic=elastic, options=QUICK)
+    usual = match(*(thin(side) for side in (one, other)), elastic=elastic, options=QUICK)
     first = found.point_map[: other.n]
     assert errors(fine[0], first, usual.point_map).mean() < spacing(one)
 
 
 def test_dense_clouds_and_mirror_images_are_matched(mesh, source) -> None:
     image_of = sk.geometry.mirrored(mesh)
-    found = match(source, thin(image_of))
+    found = match(source, thin(image_of), options=QUICK)
     assert found.mirrored
     assert errors(mesh, found.point_map, np.arange(mesh.n)).mean() < 0.5 * spacing(mesh)
-    cloud = match(source, thin(mesh.as_cloud()))
+    cloud = match(source, thin(mesh.as_cloud()), options=QUICK)
     assert errors(mesh, cloud.point_map, np.arange(mesh.n)).mean() < spacing(mesh)
 
 
 def test_landmarks_may_be_any_points_of_a_dense_mesh(mesh, source) -> None:
     points = np.array([0, mesh.n // 2, mesh.n - 1])
-    found = match(source, source, landmarks=(points, points))
+    found = match(source, source, landmarks=(points, points), mirrored=False, options=QUICK)
     assert found.candidates[0].mismatches["landmarks"] == pytest.approx(0, abs=1e-6)
 
 
@@ -270,25 +280,6 @@ def test_points_inside_triangles_are_found_again() -> None:
     found = into_triangles(inside, ball.points, ball.faces, corner)
     assert found @ ball.points == pytest.approx(inside, abs=1e-12)
     assert found.sum(axis=1) == pytest.approx(np.ones(500))
-
-
-@pytest.mark.parametrize("elastic", [True, False])
-def test_a_precise_match_lies_between_the_vertices(coarse, mesh, source, elastic) -> None:
-    """New vertices of the refined body are in the middle of edges of the coarse one."""
-    plain = thin(coarse)
-    for target in (plain, source):
-        found = match(plain, target, elastic=elastic, precise=True)
-        assert found.precise.shape == (target.whole.n, coarse.n)
-        assert found.precise.sum(axis=1) == pytest.approx(np.ones(target.whole.n))
-        assert found.precise.data.min() > 0
-    images, there = found.precise @ coarse.points, mesh.points
-    apart = np.linalg.norm(images - there, axis=1).mean()
-    assert apart < 0.7 * np.linalg.norm(coarse.points[found.point_map] - there, axis=1).mean()
-
-
-def test_nothing_precise_unless_asked_for(source) -> None:
-    found: Match = match(source, source)
-    assert found.precise is None
 
 
 def test_bad_input_is_named(coarse) -> None:
