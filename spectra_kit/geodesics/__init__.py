@@ -1,5 +1,6 @@
 """Geodesic distances: by the heat method, exactly, or from the modes alone."""
 
+from spectra_kit.geodesics.edges import edge_graph, pair_distances
 from spectra_kit.geodesics.exact import exact_distances
 from spectra_kit.geodesics.heat import HeatGeodesics, geodesic_distance
 from spectra_kit.geodesics.heat_step import Heat
@@ -25,9 +26,11 @@ __all__ = [
     "WithinMemory",
     "check_sources",
     "distance_matrix",
+    "edge_graph",
     "exact_distances",
     "geodesic_distance",
     "nearest_source",
+    "pair_distances",
     "smallest_spectral_time",
     "spectral_distance",
     "spectral_heat",

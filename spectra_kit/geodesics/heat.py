@@ -525,7 +525,7 @@ def geodesic_distance(
     --------
     exact_distances : Of the polyhedron, exactly.
     spectral_distance : Roughly, from modes alone.
-    spectra_kit.maps.geodesic_distances : Between pairs of vertices, along edges.
+    spectra_kit.geodesics.pair_distances : Between pairs of vertices, along edges.
 
     Examples
     --------

@@ -29,9 +29,7 @@ from spectra_kit.errors import DoubtfulMatchWarning, InvalidFileError, InvalidIn
 from spectra_kit.geometry import TriangleMesh, mirrored, write
 
 PLAN = Plan(k=60)
-QUICK = Matching(
-    options=sk.maps.MatchOptions(growing=16, kept=((8, 8),), finalists=3, rounds=1, bends=1)
-)
+QUICK = Matching(options=sk.maps.MatchOptions(growing=16, finalists=3, rounds=1))
 
 
 def shuffled(mesh, seed):

@@ -136,7 +136,13 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     )
     found = maps.Match(
         **{"point_map": same, "functional_map": identity, "mirrored": False, "orientation": 1.0},
-        **{"margin": 2.0, "mirror_margin": 2.0, "consistent": 1.0, "coverage": 1.5, "torn": 0.0},
+        **{
+            "margin": 2.0,
+            "mirror_margin": 2.0,
+            "consistent": 1.0,
+            "coverage": 1.5,
+            "discontinuity": 0.0,
+        },
         candidates=(candidate,),
     )
     panel = show.Panel(values=mesh.points[:, 0], limit=1.0)
@@ -173,8 +179,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     )
     thumbnail = show.Thumbnail(geometry=mesh, labels=halves, lines=("x",))
     quick = maps.MatchOptions(
-        **{"orders": 1, "growing": 8, "kept": ((8, 2),), "turns": 1, "placed": 1},
-        **{"finalists": 1, "rounds": 1, "bends": 1, "first_bends": 1},
+        **{"orders": 1, "growing": 8, "turns": 1, "finalists": 1, "rounds": 1},
     )
     instances = (  # whose methods are called, or which are arguments of their kind
         *(mesh, mesh.as_cloud(), laplacian, spectrum, spectrum.provenance, spectrum.certificate),
@@ -221,14 +226,14 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("Cascade.coarsest", 200),
         ("Truth.source Truth.target Truth.symmetric", same),
         ("errors f g symmetric point_arrays values Samples.interpolate.values", np.ones(n)),
-        ("mass", spectrum.mass),
+        ("mass target_mass", spectrum.mass),
         ("inside", np.ones(n, dtype=bool)),
         ("vectors", np.ones((len(triangulation.corners), 2))),
         ("dirichlet_energy.source dirichlet_energy.target", laplacian),
         ("laplacians", [laplacian]),
         ("predict_many.points", [ball.points]),
         ("predict_many.mass", [spectrum.mass]),
-        ("match.source match.target", spectrum),
+        ("match.source match.target prepare.spectrum", spectrum),
         ("spectra", {"a": spectrum}),
         ("dirichlet eigenvalues", spectrum.eigenvalues),
         ("eigenfunctions eigenvectors", spectrum.eigenvectors),
@@ -241,7 +246,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("fit_functional_map.oriented", (oriented, oriented)),
         ("gradient", slopes),
         ("from_diffusion_net.operators", interop.to_diffusion_net(spectrum, laplacian, slopes)),
-        ("mismatches.source mismatches.target", prepared),
+        ("score_map.source score_map.target match_part.part match_part.whole", prepared),
         ("Union.parts start subspace", given),
         ("embedding", features.HeatSignature(count=4)),
         ("Surface.shape embed.shape embed_shape.shape", mesh),
@@ -282,11 +287,10 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("maps", np.stack([identity[:10, :10]])),
         ("candidates", (candidate,)),
         ("MatchedPair.errors plot_correspondence.errors", map_errors),
-        ("score_of.values", {"wave": 0.1}),
         ("match.initial", same),
         ("Match.landmark_distances", np.ones(2)),
         ("match.landmarks fit_functional_map.landmarks", ([0, 1], [0, 1])),
-        ("mismatches.landmarks", (np.array([0, 1]), np.array([0, 1]))),
+        ("score_map.landmarks", (np.array([0, 1]), np.array([0, 1]))),
         ("Collection.shapes match_collection.shapes", two),
         ("Collection.frames", collection.frames),
         ("Collection.mirrored", collection.mirrored),

@@ -22,7 +22,7 @@ from studies.study import Result
 from spectra_kit import TriangleMesh, eigensolve, robust_laplacian
 from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
 from spectra_kit.geometry import permuted
-from spectra_kit.maps import functional_map_from_point_map, geodesic_errors, way_back
+from spectra_kit.maps import functional_map_from_point_map, geodesic_errors, inverse_map
 
 K = 40
 PAIR, PLAIN = Pair("creature0", "creature1"), "wks-zoomout"
@@ -161,7 +161,7 @@ def copies():
 
 
 def measured(source, target, spectra, outcome):
-    return measure_map(source, target, outcome, way_back(*spectra, outcome.point_map))
+    return measure_map(source, target, outcome, inverse_map(*spectra, outcome.point_map))
 
 
 def test_the_truth_has_no_error(copies):

@@ -11,6 +11,7 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import frozen
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.geodesics import pair_distances
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.maps import (
     accuracy_curve,
@@ -18,7 +19,6 @@ from spectra_kit.maps import (
     bijectivity_errors,
     coverage,
     dirichlet_energy,
-    geodesic_distances,
     geodesic_errors,
     map_errors,
     nearest_rows,
@@ -51,7 +51,7 @@ def measure_map(
     """Measure a map from points to vertices, in hundredths of the root of the source's area.
 
     The source is a mesh. `back` is the target point of each source vertex (see
-    `maps.way_back`), `best` the map of the candidate that is best by the truth, if
+    `maps.inverse_map`), `best` the map of the candidate that is best by the truth, if
     another than the chosen one. Distances are those on the source's mesh, also between clouds; NaN
     is what cannot be known.
 
@@ -114,7 +114,7 @@ def best_candidate(
     for C in candidates:
         k2, k1 = C.shape
         found = nearest_rows(b.eigenvectors[rows, :k2], a.eigenvectors[:, :k1] @ C.T)
-        errors.append(geodesic_distances(source.mesh, vertices[found], goals).mean())
+        errors.append(pair_distances(source.mesh, vertices[found], goals).mean())
     best = int(np.argmin(errors))
     if best == 0:
         return None

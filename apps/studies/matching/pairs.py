@@ -18,7 +18,7 @@ from spectra_kit.catalogue import SOLVERS, SUBSPACES
 from spectra_kit.eigen import Eigensolver, Spectrum, eigensolve
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.geometry.shapes import distinct_rows
-from spectra_kit.maps import way_back
+from spectra_kit.maps import inverse_map
 from spectra_kit.operators import laplacian
 from studies.matching.measures import Geodesics, best_candidate, measure_map
 from studies.matching.methods import METHODS, Side
@@ -159,7 +159,7 @@ class Pairs(Study[Way, Pair]):
         (vertex_1, point_1), (vertex_2, point_2) = (
             _points_of(s, basis.kind) for s in (source, target)
         )
-        back, best = way_back(a.spectrum, b.spectrum, outcome.point_map), None
+        back, best = inverse_map(a.spectrum, b.spectrum, outcome.point_map), None
         if outcome.candidates:
             best = best_candidate(
                 source, target, (a.spectrum, b.spectrum), outcome.candidates, vertex_1, point_2

@@ -20,7 +20,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh, largest_component
 from spectra_kit.geometry.implicit import polygonize
 from spectra_kit.interop import to_pyvista
-from spectra_kit.maps.curvature import outward_normals
+from spectra_kit.maps.surface import outward_normals
 from spectra_kit.operators.oriented import oriented_triangles
 from studies.matching.subjects import LACKING, Subject
 

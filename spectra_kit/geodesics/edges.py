@@ -1,4 +1,4 @@
-"""`geodesic_distances`: between given pairs of vertices, without the matrix of all of them."""
+"""Along edges: `pair_distances`, between given pairs of vertices, and the graph of the edges."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_indices
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geodesics import exact_distances
+from spectra_kit.geodesics.exact import exact_distances
 from spectra_kit.geometry import TriangleMesh
 
 
 @checked
-def geodesic_distances(
+def pair_distances(
     mesh: TriangleMesh,
     starts: ArrayLike,
     ends: ArrayLike,
@@ -42,15 +42,10 @@ def geodesic_distances(
     ndarray of shape (q,)
         In the length unit of `mesh`; infinite between components.
 
-    Raises
-    ------
-    InvalidInputError
-        If `starts` and `ends` differ in shape, an index is out of range, or `method` is another.
-
     See Also
     --------
-    spectra_kit.geodesics.exact_distances : To all vertices, from the nearest of several.
-    spectra_kit.geodesics.geodesic_distance : The same by the heat method.
+    exact_distances : To all vertices, from the nearest of several.
+    geodesic_distance : The same by the heat method.
 
     Notes
     -----
@@ -64,7 +59,7 @@ def geodesic_distances(
     >>> import spectra_kit as sk
     >>> mesh = sk.geometry.sphere(subdivisions=3).geometry
     >>> z = mesh.points[:, 2]
-    >>> sk.maps.geodesic_distances(mesh, [z.argmax()], [z.argmin()], method="exact")
+    >>> sk.geodesics.pair_distances(mesh, [z.argmax()], [z.argmin()], method="exact")
     array([3.13...])
     """
     a = check_indices("starts", starts, mesh.n)
@@ -73,6 +68,11 @@ def geodesic_distances(
         raise InvalidInputError(
             f"`starts` and `ends` must have the same shape (q,), got {a.shape} and {b.shape}"
         )
+    return distances_of_pairs(mesh, a, b, method)
+
+
+def distances_of_pairs(mesh: TriangleMesh, a: Ints, b: Ints, method: str = "edges") -> Floats:
+    """Do the same with checked vertices."""
     if len(np.unique(b)) < len(np.unique(a)):  # distances are symmetric
         a, b = b, a
     if method == "exact":
@@ -97,10 +97,15 @@ def edge_graph(mesh: TriangleMesh) -> sparse.csr_array:
     Examples
     --------
     >>> import spectra_kit as sk
-    >>> graph = sk.maps.edge_graph(sk.geometry.sphere(subdivisions=1).geometry)
+    >>> graph = sk.geodesics.edge_graph(sk.geometry.sphere(subdivisions=1).geometry)
     >>> graph.shape, graph.nnz
     ((42, 42), 240)
     """
+    return graph_of(mesh)
+
+
+def graph_of(mesh: TriangleMesh) -> sparse.csr_array:
+    """Do the same with a checked mesh."""
     i, j = mesh.unique_edges[0].T
     proper = i != j
     i, j = i[proper], j[proper]
@@ -112,9 +117,9 @@ def edge_graph(mesh: TriangleMesh) -> sparse.csr_array:
 
 
 def _along_edges(mesh: TriangleMesh, a: Ints, b: Ints) -> Floats:
-    from spectra_kit.maps._edge_kernels import shortest_paths  # numba is slow to import
+    from spectra_kit.geodesics._edge_kernels import shortest_paths  # numba is slow to import
 
-    graph = edge_graph(mesh)
+    graph = graph_of(mesh)
     order = np.argsort(a, kind="stable")
     starts, first = np.unique(a[order], return_index=True)
     found = np.full(len(a), np.inf)

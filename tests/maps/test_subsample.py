@@ -11,30 +11,29 @@ import pytest
 from conftest import creature, refused
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
+from test_match import QUICK, TURN
 
 import spectra_kit as sk
 from spectra_kit import TriangleMesh
+from spectra_kit.geodesics import edge_graph
+from spectra_kit.geodesics._edge_kernels import farthest_along_edges
 from spectra_kit.geometry import Geometry, creature_pair, permuted, sphere
 from spectra_kit.maps import (
-    Match,
     Prepared,
     Truth,
-    edge_graph,
     geodesic_errors,
     match,
     nearest_rows,
     prepare,
 )
-from spectra_kit.maps._kernels import farthest_along_edges
-from spectra_kit.maps.curvature import outward_normals
-from spectra_kit.maps.dense import Dense, image, nearest_within
-from spectra_kit.maps.precise import into_triangles
+from spectra_kit.maps.convert import into_triangles
+from spectra_kit.maps.nearest import nearest_within
+from spectra_kit.maps.subsample import Subsample, image
+from spectra_kit.maps.surface import outward_normals
 from spectra_kit.operators import oriented_triangles
 
 K = 60
 FEW = 1000  # points that dense surfaces are matched on here
-TURN = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
-TURN *= np.linalg.det(TURN)
 
 
 def refined(mesh: TriangleMesh) -> TriangleMesh:
@@ -63,8 +62,8 @@ def source(mesh) -> Prepared:
 
 
 @pytest.fixture(scope="module")
-def dense(source) -> Dense:
-    return source.dense
+def dense(source) -> Subsample:
+    return source.subsample
 
 
 def spacing(mesh: TriangleMesh) -> float:
@@ -85,10 +84,10 @@ def test_only_surfaces_of_more_than_twice_as_many_points_are_thinned(mesh, coars
     assert repr(source).startswith(f"Prepared(n={source.spectrum.n} of {mesh.n}, k={K}")
     for n_points in (mesh.n // 2 + 1, 5000):
         full = prepare(sk.spectrum(mesh, K), mesh, n_points=n_points)
-        assert full.dense is None
+        assert full.subsample is None
         assert full.whole is full.spectrum
-    assert thin(coarse).dense is None
-    assert prepare(sk.spectrum(mesh, K), n_points=FEW).dense is None  # without a geometry
+    assert thin(coarse).subsample is None
+    assert prepare(sk.spectrum(mesh, K), n_points=FEW).subsample is None  # without a geometry
 
 
 def test_farthest_points_along_edges_are_the_farthest(mesh) -> None:
@@ -107,8 +106,8 @@ def test_farthest_points_along_edges_are_the_farthest(mesh) -> None:
 def test_the_numbering_and_the_place_of_a_mesh_do_not_matter(mesh, source) -> None:
     shuffled, truth = permuted(mesh, seed=1)
     same = thin(shuffled.with_points(25.4 * shuffled.points @ TURN))
-    assert (truth[same.dense.chosen] == source.dense.chosen).all()
-    assert (same.dense.closest == source.dense.closest[truth]).all()
+    assert (truth[same.subsample.chosen] == source.subsample.chosen).all()
+    assert (same.subsample.closest == source.subsample.closest[truth]).all()
     assert same.spectrum.mass == pytest.approx(source.spectrum.mass)
 
 
@@ -149,7 +148,7 @@ def volume(points: np.ndarray, faces: np.ndarray) -> float:
 
 
 def test_the_triangles_of_the_chosen_points_enclose_the_body(source, dense) -> None:
-    faces, whole = source.surface.oriented.faces, dense.placed
+    faces, whole = source.surface.oriented.faces, dense.surface
     assert len(np.unique(faces)) == source.spectrum.n
     assert volume(source.surface.points, faces) == pytest.approx(
         volume(whole.points, whole.oriented.faces), rel=0.05
@@ -163,11 +162,11 @@ def test_truncated_is_as_if_made_of_fewer_modes(mesh) -> None:
     spectrum = sk.spectrum(mesh, K)
     cut = prepare(spectrum, mesh, n_points=FEW).truncate(40)
     made = prepare(spectrum.truncate(40), mesh, n_points=FEW)
-    assert (cut.dense.chosen == made.dense.chosen).all()
+    assert (cut.subsample.chosen == made.subsample.chosen).all()
     assert (cut.samples == made.samples).all()
     assert cut.wave == pytest.approx(made.wave)
     again = pickle.loads(pickle.dumps(cut))
-    assert (again.dense.closest == cut.dense.closest).all()
+    assert (again.subsample.closest == cut.subsample.closest).all()
     assert again.whole.k == 40
 
 
@@ -175,7 +174,7 @@ def test_truncated_is_as_if_made_of_fewer_modes(mesh) -> None:
 
 
 def test_a_rigid_motion_is_carried_to_all_points(dense) -> None:
-    points = dense.placed.points
+    points = dense.surface.points
     moved = points @ TURN.T + [0.3, -0.1, 2.0]
     turns = np.broadcast_to(TURN, (len(dense.chosen), 3, 3))
     assert dense.carried(moved[dense.chosen], turns, points) == pytest.approx(moved)
@@ -185,7 +184,7 @@ def test_values_are_averaged_around_each_point(mesh, dense) -> None:
     """So they move points by less than the chosen ones are apart, and constants stay."""
     assert dense.lift.sum(axis=1) == pytest.approx(np.ones(mesh.n))
     assert dense.lift.data.min() > 0
-    points = dense.placed.points
+    points = dense.surface.points
     apart = np.linalg.norm(points - points[dense.chosen[dense.closest]], axis=1)
     moved = np.linalg.norm(dense.lift @ points[dense.chosen] - points, axis=1)
     assert moved.max() < 2 * apart.max()
@@ -211,7 +210,8 @@ def test_the_nearest_within_all_cells_is_the_nearest() -> None:
 
 def test_a_copy_of_a_dense_mesh_is_found(mesh, source) -> None:
     shuffled, truth = permuted(mesh, seed=1)
-    found = match(source, thin(shuffled.with_points(25.4 * shuffled.points @ TURN)))
+    found = match(source, thin(shuffled.with_points(25.4 * shuffled.points @ TURN)), options=QUICK)
+    assert found.precise is None
     assert (found.point_map == truth).all()
     assert found.orientation == pytest.approx(1)
     assert found.coverage > 1.5
@@ -223,37 +223,48 @@ def test_a_copy_of_a_dense_mesh_is_found(mesh, source) -> None:
 
 @pytest.mark.parametrize("elastic", [True, False])
 def test_a_refined_body_matches_its_coarse_self(coarse, mesh, source, elastic) -> None:
-    """Either way round: the first vertices of the refined one are those of the coarse one."""
+    """Either way round: the first vertices of the refined one are those of the coarse one.
+
+    Its new vertices are in the middle of edges of the coarse one, and a precise map knows it.
+    """
     plain, old = thin(coarse), np.arange(coarse.n)
-    onto_dense = match(plain, source, elastic=elastic)
+    onto_dense = match(plain, source, elastic=elastic, precise=True, options=QUICK)
     assert len(onto_dense.point_map) == mesh.n
     assert errors(coarse, onto_dense.point_map[old], old).mean() < 0.5 * spacing(coarse)
-    onto_coarse = match(source, plain, elastic=elastic)
+    precise = onto_dense.precise
+    assert precise.shape == (mesh.n, coarse.n)
+    assert precise.sum(axis=1) == pytest.approx(np.ones(mesh.n))
+    assert precise.data.min() > 0
+    apart = np.linalg.norm(precise @ coarse.points - mesh.points, axis=1).mean()
+    nearest = np.linalg.norm(coarse.points[onto_dense.point_map] - mesh.points, axis=1).mean()
+    assert apart < 0.7 * nearest
+    onto_coarse = match(source, plain, elastic=elastic, precise=True, options=QUICK)
     assert errors(mesh, onto_coarse.point_map, old).mean() < spacing(mesh)
+    assert onto_coarse.precise.shape == (coarse.n, mesh.n)
 
 
 @pytest.mark.parametrize("elastic", [True, False])
 def test_a_dense_pair_agrees_with_the_coarse_one(elastic) -> None:
     one, other, _ = creature_pair(1000, 1100, seed=1)
     fine = refined(one), refined(other)
-    found = match(*(thin(side) for side in fine), elastic=elastic)
-    usual = match(*(thin(side) for side in (one, other)), elastic=elastic)
+    found = match(*(thin(side) for side in fine), elastic=elastic, options=QUICK)
+    usual = match(*(thin(side) for side in (one, other)), elastic=elastic, options=QUICK)
     first = found.point_map[: other.n]
     assert errors(fine[0], first, usual.point_map).mean() < spacing(one)
 
 
 def test_dense_clouds_and_mirror_images_are_matched(mesh, source) -> None:
     image_of = sk.geometry.mirrored(mesh)
-    found = match(source, thin(image_of))
+    found = match(source, thin(image_of), options=QUICK)
     assert found.mirrored
     assert errors(mesh, found.point_map, np.arange(mesh.n)).mean() < 0.5 * spacing(mesh)
-    cloud = match(source, thin(mesh.as_cloud()))
+    cloud = match(source, thin(mesh.as_cloud()), options=QUICK)
     assert errors(mesh, cloud.point_map, np.arange(mesh.n)).mean() < spacing(mesh)
 
 
 def test_landmarks_may_be_any_points_of_a_dense_mesh(mesh, source) -> None:
     points = np.array([0, mesh.n // 2, mesh.n - 1])
-    found = match(source, source, landmarks=(points, points))
+    found = match(source, source, landmarks=(points, points), mirrored=False, options=QUICK)
     assert found.candidates[0].mismatches["landmarks"] == pytest.approx(0, abs=1e-6)
 
 
@@ -269,25 +280,6 @@ def test_points_inside_triangles_are_found_again() -> None:
     found = into_triangles(inside, ball.points, ball.faces, corner)
     assert found @ ball.points == pytest.approx(inside, abs=1e-12)
     assert found.sum(axis=1) == pytest.approx(np.ones(500))
-
-
-@pytest.mark.parametrize("elastic", [True, False])
-def test_a_precise_match_lies_between_the_vertices(coarse, mesh, source, elastic) -> None:
-    """New vertices of the refined body are in the middle of edges of the coarse one."""
-    plain = thin(coarse)
-    for target in (plain, source):
-        found = match(plain, target, elastic=elastic, precise=True)
-        assert found.precise.shape == (target.whole.n, coarse.n)
-        assert found.precise.sum(axis=1) == pytest.approx(np.ones(target.whole.n))
-        assert found.precise.data.min() > 0
-    images, there = found.precise @ coarse.points, mesh.points
-    apart = np.linalg.norm(images - there, axis=1).mean()
-    assert apart < 0.7 * np.linalg.norm(coarse.points[found.point_map] - there, axis=1).mean()
-
-
-def test_nothing_precise_unless_asked_for(source) -> None:
-    found: Match = match(source, source)
-    assert found.precise is None
 
 
 def test_bad_input_is_named(coarse) -> None:

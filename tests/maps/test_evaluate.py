@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from conftest import bumpy, creature, refused, two_parts
+from conftest import bumpy, creature, refused
 from scipy.sparse.csgraph import floyd_warshall
 
-from spectra_kit import TriangleMesh, cotan_laplacian, eigensolve, robust_laplacian
+from spectra_kit import cotan_laplacian, eigensolve, robust_laplacian
+from spectra_kit.geodesics import edge_graph, pair_distances
 from spectra_kit.geometry import rectangle, sphere
 from spectra_kit.maps import (
     MapErrors,
@@ -15,8 +16,6 @@ from spectra_kit.maps import (
     bijectivity_errors,
     coverage,
     dirichlet_energy,
-    edge_graph,
-    geodesic_distances,
     geodesic_errors,
     map_errors,
     orientation,
@@ -26,54 +25,6 @@ from spectra_kit.maps import (
 @pytest.fixture(scope="module")
 def ball():
     return sphere(subdivisions=3).geometry
-
-
-def random_pairs(mesh, q, seed=0):
-    return np.random.default_rng(seed).integers(0, mesh.n, (2, q))
-
-
-# --- distances ---
-
-
-def test_exact_distances_on_the_sphere_are_great_circles(ball):
-    a, b = random_pairs(ball, 60)
-    angle = np.arccos(np.clip(np.sum(ball.points[a] * ball.points[b], axis=1), -1, 1))
-    found = geodesic_distances(ball, a, b, method="exact")
-    np.testing.assert_allclose(found, angle, rtol=5e-3, atol=1e-9)
-
-
-def test_edge_distances_are_shortest_paths_near_and_far():
-    mesh = bumpy()
-    a, b = random_pairs(mesh, 3000)
-    full = floyd_warshall(edge_graph(mesh), directed=False)
-    np.testing.assert_allclose(geodesic_distances(mesh, a, b), full[a, b], rtol=1e-12)
-    # Few ends and many starts: searched from the other side.
-    np.testing.assert_allclose(geodesic_distances(mesh, a, 0 * b), full[a, 0], rtol=1e-12)
-    assert geodesic_distances(mesh, a[:0], b[:0]).shape == (0,)
-
-
-def test_edges_lead_to_the_end_of_a_long_strip():
-    n = 300
-    x = np.repeat(np.arange(n + 1.0), 2)
-    points = np.column_stack([x, np.tile([0.0, 1.0], n + 1), 0 * x])
-    corner = 2 * np.arange(n)[:, None]
-    strip = TriangleMesh(points, np.vstack([corner + [0, 2, 3], corner + [0, 3, 1]]))
-    found = geodesic_distances(strip, np.zeros(strip.n, int), np.arange(strip.n))
-    assert found[::2] == pytest.approx(x[::2])
-    assert found[3::2] == pytest.approx(x[3::2] - 1 + np.sqrt(2))  # one diagonal on the way
-
-
-@pytest.mark.parametrize("method", ["edges", "exact"])
-def test_no_way_leads_to_another_component(method):
-    mesh = two_parts()
-    found = geodesic_distances(mesh, [0, 0], [mesh.n - 1, 0], method=method)
-    np.testing.assert_array_equal(found, [np.inf, 0])
-
-
-def test_a_vertex_at_the_same_place_is_no_barrier():
-    points = [[0, 0, 0], [1, 0, 0], [1, 0, 0], [2, 0, 0], [1, 1, 0]]
-    mesh = TriangleMesh(points, [[0, 1, 4], [1, 2, 4], [2, 3, 4]])
-    assert geodesic_distances(mesh, [0], [3]) == pytest.approx([2.0])
 
 
 # --- errors ---
@@ -191,7 +142,7 @@ def test_bijectivity_finds_what_does_not_come_back():
     back[[3, 4]] = back[[4, 3]]
     errors = bijectivity_errors(mesh, there, back)
     np.testing.assert_array_equal(np.flatnonzero(errors), [3, 4])
-    apart = geodesic_distances(mesh, [3], [4])[0]
+    apart = pair_distances(mesh, [3], [4])[0]
     assert errors[[3, 4]] == pytest.approx(np.full(2, 100 * apart / np.sqrt(mesh.area)))
 
 
@@ -199,9 +150,9 @@ def test_what_does_not_fit_is_refused(ball):
     laplacian = robust_laplacian(ball)
     spectrum, truth = eigensolve(laplacian, 4), Truth([0], [0])
     for argument, expected, call, *given in (
-        ("mesh", "be a TriangleMesh", geodesic_distances, ball.as_cloud(), [0], [1]),
-        ("starts` and `ends", "have the same shape (q,)", geodesic_distances, ball, [0], [1, 2]),
-        ("ends", "be in [0,", geodesic_distances, ball, [0], [642]),
+        ("mesh", "be a TriangleMesh", pair_distances, ball.as_cloud(), [0], [1]),
+        ("starts` and `ends", "have the same shape (q,)", pair_distances, ball, [0], [1, 2]),
+        ("ends", "be in [0,", pair_distances, ball, [0], [642]),
         ("target", "have the shape (1,) of `direct`", MapErrors, [1.0], [0, 1]),
         ("symmetric", "have the shape (1,) of `direct`", MapErrors, [1.0], [0], [1.0, 2.0]),
         ("direct", "be at least one number >= 0", MapErrors, [-1.0], [0]),
@@ -233,5 +184,5 @@ def test_what_does_not_fit_is_refused(ball):
         ("target_faces", "be in [0,", orientation, ball.points, ball.faces, [[0, 1, 2]], [0, 1]),
     ):
         refused(argument, expected, call, *given)
-    refused("method", "be 'edges' or", geodesic_distances, ball, [0], [1], method="heat")
+    refused("method", "be 'edges' or", pair_distances, ball, [0], [1], method="heat")
     refused("limit", "be positive", auc, [1.0], limit=0)

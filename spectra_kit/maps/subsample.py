@@ -1,4 +1,4 @@
-"""Dense surfaces: the well-spread points that they are matched on, and the way back to all points.
+"""Subsamples: the well-spread points that dense surfaces are matched on, and the way back to all.
 
 The search and all refinement see some thousands of points (after Magnet and Ovsjanikov, *Scalable
 and Efficient Functional Map Computations on Dense Meshes*, 2023): the modes there, the area that
@@ -12,35 +12,34 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from spectra_kit._core.threads import in_threads, shares
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import Rebuilt, quantity
 from spectra_kit._sparse.products import rows_of
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.maps.placed import Placed
+from spectra_kit.maps.surface import Surface
 from spectra_kit.operators.oriented import OrientedTriangles
 
 _REACH = 2.0  # of a chosen point when it moves others, in covering radii
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Dense(Rebuilt):
+class Subsample(Rebuilt):
     """All n points of a surface that is matched on s of them, at unit area."""
 
     spectrum: Spectrum  # on all points
-    placed: Placed  # all points
+    surface: Surface  # on all points
     chosen: Ints  # (s,) the well-spread points
     closest: Ints  # (n,) position in `chosen` of the closest one along the surface
     lift: sparse.csr_array  # (n, s): carries values at the chosen points to all; rows sum to one
 
-    def at_chosen(self) -> tuple[Spectrum, Placed]:
+    def at_chosen(self) -> tuple[Spectrum, Surface]:
         """Return the modes and the geometry at the chosen points.
 
         A chosen point stands for the area of the points closest to it, and the modes remain all but
         orthonormal.
         """
-        whole, count = self.placed, len(self.chosen)
+        whole, count = self.surface, len(self.chosen)
         mass = np.bincount(self.closest, whole.mass, count).astype(np.float64)
         points = whole.points[self.chosen]
         modes = Spectrum(
@@ -54,7 +53,7 @@ class Dense(Rebuilt):
         i, j, k = points[faces].transpose(1, 0, 2)
         areas = 0.5 * np.linalg.norm(np.cross(j - i, k - i), axis=1)
         triangles = OrientedTriangles(faces, weights, areas, count, whole.oriented.consistent)
-        return modes, Placed(points=points, mass=mass, oriented=triangles)
+        return modes, Surface(points=points, mass=mass, oriented=triangles)
 
     def carried(self, bent: Floats, rotations: Floats, start: Floats) -> Floats:
         """Return where all points go if the chosen ones go to `bent`, turning by `rotations`.
@@ -67,7 +66,7 @@ class Dense(Rebuilt):
         return np.asarray(self.lift @ offset + np.einsum("nij,nj->ni", turns, start))
 
 
-def thinned(unit: Spectrum, placed: Placed, count: int) -> Dense:
+def thinned(unit: Spectrum, surface: Surface, count: int) -> Subsample:
     """Choose `count` points of a surface: more where the modes tell more, as on fingers.
 
     They are the farthest points along edges, where lengths are those of the metric in which modes
@@ -75,12 +74,12 @@ def thinned(unit: Spectrum, placed: Placed, count: int) -> Dense:
     modes ask of samples (Cohen and Migliorati, *Optimal weighted least-squares methods*, 2017).
     The numbering of the points does not matter. A few that no triangle would hold are left out.
     """
-    from spectra_kit.maps._kernels import farthest_along_edges  # numba is slow to import
+    from spectra_kit.geodesics._edge_kernels import farthest_along_edges  # numba is slow to import
 
     density = np.einsum("nk,nk->n", unit.eigenvectors, unit.eigenvectors) / unit.k
-    edges = neighbours(placed.oriented.faces, unit.n)
+    edges = neighbours(surface.oriented.faces, unit.n)
     i, j = np.repeat(np.arange(unit.n), np.diff(edges.indptr)), edges.indices
-    apart = np.linalg.norm(placed.points[i] - placed.points[j], axis=1)
+    apart = np.linalg.norm(surface.points[i] - surface.points[j], axis=1)
     edges.data = apart * np.sqrt(0.5 * (density[i] + density[j]))
     graph, first = rows_of(edges), np.array([density.argmax()])
     while True:
@@ -93,16 +92,16 @@ def thinned(unit: Spectrum, placed: Placed, count: int) -> Dense:
                 advice="leave them out of both, by {}",
                 remedies=("geometry.largest_component(mesh)",),
             )
-        held = np.unique(image(placed.oriented, closest, count)[0])
+        held = np.unique(image(surface.oriented, closest, count)[0])
         if len(held) == count:
             break
         first, count = chosen[held], len(held)
-    return Dense(
+    return Subsample(
         spectrum=unit,
-        placed=placed,
+        surface=surface,
         chosen=chosen,
         closest=closest,
-        lift=_lift(placed, chosen, closest, np.sqrt(density) / (_REACH * apart.max())),
+        lift=_lift(surface, chosen, closest, np.sqrt(density) / (_REACH * apart.max())),
     )
 
 
@@ -139,47 +138,16 @@ def image(oriented: OrientedTriangles, closest: Ints, count: int) -> tuple[Ints,
     return out, np.abs(sums)
 
 
-def nearest_within(
-    ways: sparse.csr_array, source: tuple[Floats, Ints], target: tuple[Floats, Ints]
-) -> Ints:
-    """Return the row of the source nearest to each row of the target, of those that are allowed.
-
-    Of both sides: rows of all points, and the cell of each point. `ways`, (cells of the target,
-    cells of the source), is not zero where points of one may go to points of the other.
-    """
-    rows1, members1, starts1 = source[0], *_members(source[1], ways.shape[1])
-    rows2, members2, starts2 = target[0], *_members(target[1], ways.shape[0])
-    out = np.empty(len(rows2), dtype=np.int64)
-
-    def search(first: int, last: int) -> None:
-        for s in range(first, last):
-            here = members2[starts2[s] : starts2[s + 1]]
-            cells = ways.indices[ways.indptr[s] : ways.indptr[s + 1]]
-            pool = np.concatenate([members1[starts1[c] : starts1[c + 1]] for c in cells])
-            points = rows1[pool]
-            scores = rows2[here] @ points.T - 0.5 * np.einsum("pd,pd->p", points, points)
-            out[here] = pool[scores.argmax(axis=1)]
-
-    in_threads(search, shares(ways.shape[0]))
-    return out
-
-
-def _members(cells: Ints, count: int) -> tuple[Ints, Ints]:
-    """Return the points sorted by their cells, and where each cell begins."""
-    starts = np.concatenate([[0], np.cumsum(np.bincount(cells, minlength=count))])
-    return np.argsort(cells, kind="stable"), starts
-
-
-def _lift(placed: Placed, chosen: Ints, closest: Ints, scale: Floats) -> sparse.csr_array:
+def _lift(surface: Surface, chosen: Ints, closest: Ints, scale: Floats) -> sparse.csr_array:
     """Return how much each point heeds the chosen ones of its cell and of those around, (n, s).
 
     Distances times the `scale` of each point are below 1 within reach.
     """
     n, count = len(closest), len(chosen)
-    around = neighbours(closest[placed.oriented.faces], count) + sparse.eye_array(count)
+    around = neighbours(closest[surface.oriented.faces], count) + sparse.eye_array(count)
     lift = sparse.csr_array(around.tocsr()[closest])
     i = np.repeat(np.arange(n), np.diff(lift.indptr))
-    apart = placed.points[i] - placed.points[chosen[lift.indices]]
+    apart = surface.points[i] - surface.points[chosen[lift.indices]]
     squared = np.einsum("pr,pr->p", apart, apart) * scale[i] ** 2
     lift.data = np.maximum(1 - squared, 0.0) ** 3 + 1e-9 * (lift.indices == closest[i])
     lift.eliminate_zeros()
