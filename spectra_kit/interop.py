@@ -27,7 +27,7 @@ from spectra_kit._core.warn import warn
 from spectra_kit.eigen import Provenance, Spectrum
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh
-from spectra_kit.maps.checks import check_functional_map
+from spectra_kit.maps.convert import check_functional_map
 from spectra_kit.operators.laplacian import Laplacian, lumped_diagonal
 from spectra_kit.operators.tangent import TangentGradient
 

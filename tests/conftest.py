@@ -237,9 +237,9 @@ def ellipsoids(n, seed):
 @contextmanager
 def produced_here(config, indices, workers):
     """Make the samples of a stream in this process, in place of `neo.train.corpus.produced`."""
-    from spectra_kit.neo.train.corpus import packed_sample
+    from spectra_kit.neo.train.samples import make_sample
 
-    yield (packed_sample(config, index) for index in indices)
+    yield (make_sample(config, index) for index in indices)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -192,7 +192,7 @@ def _kind(hint: Any) -> _Kind | None:
         several=f"{base.__name__}s",
         lack=lack,
         advice=advice,
-        made_of=getattr(base, "_made_of", None),
+        made_of=getattr(base, "_made_of", MADE_OF.get(base)),
     )
 
 
@@ -347,6 +347,8 @@ _ADVICE = {
 }
 
 
+#: What makes others into one of a class that is a protocol, and can have no `_made_of` of its own.
+MADE_OF: dict[type, Callable[[Any], Any]] = {}
 _RAGGED = "rows of several lengths"
 
 
@@ -376,6 +378,7 @@ def _made(name: str, value: Any, kinds: Mapping[str, _Kind], given: Mapping[str,
             raise InvalidFileError(error.path, problem) from error
         except InvalidInputError as error:
             told = error.advice if error.argument == "thing" else str(error)
+            got = f"{got}, {lack}" if lack else got
             raise InvalidInputError(name, kind.expected, got, advice=told) from error
         if kind.accepts(made):
             return made

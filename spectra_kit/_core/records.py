@@ -1,24 +1,14 @@
-"""What records share: they are read-only, and show themselves in terminals and notebooks.
-
-And draw themselves, by `show`, which lies above them.
-"""
+"""What records share: they are read-only, and show themselves in terminals and notebooks."""
 
 from __future__ import annotations
 
-from base64 import b64encode
 from collections.abc import Mapping
 from dataclasses import fields
 from html import escape
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
-
-from spectra_kit._core.files import temporary_folder
-
-# Here as well until every room takes it from its home.
-from spectra_kit._core.text import printable as printable
 
 Array = TypeVar("Array", bound=NDArray[np.generic])
 
@@ -32,19 +22,6 @@ def table(title: str, facts: Mapping[str, object]) -> str:
         for name, value in facts.items()
     )
     return f"<table><caption>{escape(title)}</caption>{rows}</table>"
-
-
-def draw(plot: str, *arguments: Any, **options: Any) -> Any:
-    """Call a plot or a class of `show`, which imports what it draws with: so not before it must."""
-    return getattr(import_module("spectra_kit.show"), plot)(*arguments, **options)
-
-
-def drawn(caption: str, plot: str, *arguments: Any, **options: Any) -> str:
-    """Return what a plot of `show` draws, with a caption, as HTML."""
-    with temporary_folder() as folder:
-        draw(plot, path := folder / "picture.png", *arguments, **options)
-        content = b64encode(path.read_bytes()).decode("ascii")
-    return f'<img src="data:image/png;base64,{content}"><br>{escape(caption)}'
 
 
 def frozen(array: Array) -> Array:

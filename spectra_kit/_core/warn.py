@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-from spectra_kit.errors import SpectraKitWarning
+from spectra_kit.errors import Advice, SpectraKitWarning
 
 _heard: ContextVar[list[SpectraKitWarning] | None] = ContextVar("_heard", default=None)
 
@@ -31,7 +31,7 @@ def warn(
     message: str,
     category: type[SpectraKitWarning],
     *,
-    advice: str = "",
+    advice: Advice = "",
     remedies: tuple[str, ...] = (),
     where: str = "",
 ) -> None:

@@ -74,7 +74,7 @@ def exact_distances(
     --------
     geodesic_distance : By the heat method: quick, smooth, a per cent or two off.
     spectral_distance : By modes alone.
-    spectra_kit.maps.geodesic_distances : Between pairs, along edges or exact.
+    spectra_kit.geodesics.pair_distances : Between pairs, along edges or exact.
 
     Notes
     -----

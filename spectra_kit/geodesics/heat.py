@@ -27,11 +27,11 @@ from spectra_kit.geodesics.exact import EXACT, exact_field, exact_or_none
 from spectra_kit.geodesics.heat_step import Heat, HeatStep
 from spectra_kit.geodesics.result import DistanceField
 from spectra_kit.geodesics.solvers import (
-    Automatic,
     Direct,
     Iterative,
     IterativePoisson,
     Solver,
+    WithinMemory,
 )
 from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
 from spectra_kit.geodesics.system import COARSER, System
@@ -72,7 +72,7 @@ class HeatGeodesics:
     spectrum : Spectrum, optional
         Modes of the geometry, by whatever solver: they make an iterative solver quicker, and do
         not change the distances.
-    solver : Direct, Iterative or Automatic, default Automatic()
+    solver : Direct, Iterative or WithinMemory, default WithinMemory()
         How linear systems are solved.
     time_coefficient : float, default 1.0
         The time of the heat step is this times the square of the typical edge of each component
@@ -135,7 +135,7 @@ class HeatGeodesics:
         geometry: Geometry | IntrinsicTriangulation,
         spectrum: Spectrum | None = None,
         *,
-        solver: Solver = Automatic(),  # noqa: B008
+        solver: Solver = WithinMemory(),  # noqa: B008
         time_coefficient: float = 1.0,
         boundary: Boundary = "neumann",
     ) -> None:
@@ -162,7 +162,7 @@ class HeatGeodesics:
         self._time_coefficient = time_coefficient
         self._chosen: tuple[Direct | Iterative, str] = (
             solver.choose(self.triangulation.n)
-            if isinstance(solver, Automatic)
+            if isinstance(solver, WithinMemory)
             else (solver, "as asked")
         )
         self._prepared: dict[int | None, _Ready] = {}  # by component; None for all
@@ -340,7 +340,7 @@ class HeatGeodesics:
         if not isinstance(options, Direct):
             return self._factorised(system, options, reason, 0.0, clock)
         gigabytes = (1 + len(self._kinds(system))) * system.elimination.gigabytes
-        if isinstance(self._solver, Automatic):
+        if isinstance(self._solver, WithinMemory):
             options, reason = self._solver.choose(len(system.order), gigabytes)
             if not isinstance(options, Direct):  # whose modes are those of all points
                 if component is not None:
@@ -491,7 +491,7 @@ def geodesic_distance(
     *,
     spectrum: Spectrum | None = None,
     weights: ArrayLike | None = None,
-    solver: Solver = Automatic(),  # noqa: B008
+    solver: Solver = WithinMemory(),  # noqa: B008
     time_coefficient: float = 1.0,
     boundary: Boundary = "neumann",
 ) -> DistanceField:
@@ -507,8 +507,8 @@ def geodesic_distance(
         Modes of the geometry, to be quicker.
     weights : array_like of shape (s,), optional
         Heat that each source emits, 1 by default.
-    solver : Direct, Iterative or Automatic, default Automatic()
-        How linear systems are solved. Where that is automatic, none is on a mesh of at most 2,000
+    solver : Direct, Iterative or WithinMemory, default WithinMemory()
+        How linear systems are solved. With the default, none is on a mesh of at most 2,000
         vertices: they take `exact_distances`, unless a source lies inside a face or another of
         the options below is given.
     time_coefficient : float, default 1.0
@@ -525,7 +525,7 @@ def geodesic_distance(
     --------
     exact_distances : Of the polyhedron, exactly.
     spectral_distance : Roughly, from modes alone.
-    spectra_kit.maps.geodesic_distances : Between pairs of vertices, along edges.
+    spectra_kit.geodesics.pair_distances : Between pairs of vertices, along edges.
 
     Examples
     --------
@@ -536,7 +536,7 @@ def geodesic_distance(
     >>> geodesic_distance(rectangle(n=3000).geometry, 0).choice
     'direct: factors of 3... points fit into 4 GiB'
     """
-    plain = isinstance(solver, Automatic) and time_coefficient == 1 and boundary == "neumann"
+    plain = isinstance(solver, WithinMemory) and time_coefficient == 1 and boundary == "neumann"
     if plain and spectrum is None and weights is None:
         found = exact_field(geometry, sources)
         if found is not None and isinstance(geometry, TriangleMesh):

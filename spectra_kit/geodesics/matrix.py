@@ -75,7 +75,7 @@ def distance_matrix(
     --------
     HeatGeodesics.distances : With all that is known of each field.
     exact_distances : From one source, exactly.
-    spectra_kit.maps.geodesic_distances : Between pairs of points.
+    spectra_kit.geodesics.pair_distances : Between pairs of points.
 
     Notes
     -----

@@ -49,8 +49,6 @@ class Problem:
         return f"Problem({self.count}, {self.told()!r})"
 
 
-UNJOINED = "unjoined"  # by which what was recorded of a shape is known to tell of seams
-
 # What a count of `Diagnosis` says of one and of several, and what helps: a call, "" for joining
 # points, or words.
 _PROBLEMS = {
@@ -65,13 +63,13 @@ _PROBLEMS = {
         "geometry.repair(mesh)",
     ),
     "seam_edges": (
-        f"boundary edge lies on another, {UNJOINED}",
-        f"boundary edges lie on others, {UNJOINED}",
+        "boundary edge lies on another, unjoined",
+        "boundary edges lie on others, unjoined",
         "geometry.repair(mesh)",
     ),
     "hanging_vertices": (
-        f"vertex lies inside a boundary edge of another face, {UNJOINED}",
-        f"vertices lie inside boundary edges of other faces, {UNJOINED}",
+        "vertex lies inside a boundary edge of another face, unjoined",
+        "vertices lie inside boundary edges of other faces, unjoined",
         "geometry.repair(mesh)",
     ),
     "turned_faces": (

@@ -17,7 +17,8 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.records import Rebuilt, draw, drawn, frozen
+from spectra_kit._core.records import Rebuilt, frozen
+from spectra_kit._core.shown import draw, drawn
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_faces, check_points
 from spectra_kit.errors import InvalidInputError
@@ -36,13 +37,13 @@ class _Shape(Rebuilt):
         Return the `show.Picture`, which is written to `path` if there is one.
         """
         seen = {} if view is None else {"view": view}
-        return draw("plot_portraits", path, self._portraits(), **seen)
+        return draw("plot_thumbnails", self._thumbnails(), path=path, **seen)
 
     def _repr_html_(self) -> str:
-        return drawn(repr(self), "plot_portraits", self._portraits())
+        return drawn(repr(self), "plot_thumbnails", self._thumbnails())
 
-    def _portraits(self) -> Any:
-        return [draw("Portrait", geometry=self, lines=(repr(self),))]
+    def _thumbnails(self) -> Any:
+        return [draw("Thumbnail", geometry=self, lines=(repr(self),))]
 
     #: What makes one of these of a thing: set by `adapt`, which reads files into them.
     _made_of: ClassVar[Callable[[Any], Geometry]]
