@@ -9,15 +9,13 @@ import numpy as np
 import spectra_kit as sk
 from spectra_kit.eigen.metrics import Comparison, align_modes
 from spectra_kit.features import heat_kernel_signature, heat_times
-from spectra_kit.show.axes import LINE_COLOURS, tidy
 from spectra_kit.show.camera import View
 from spectra_kit.show.colours import distance_colours, position_colours, refined
 from spectra_kit.show.contours import distance_levels
+from spectra_kit.show.fields import Panel, draw_panels
 from spectra_kit.show.isolines import distance_lines
+from spectra_kit.show.layout import LINE_COLOURS, MARGIN, Canvas, Page, new_figure, tidy
 from spectra_kit.show.modes import display_signs
-from spectra_kit.show.page import MARGIN, Page, new_figure
-from spectra_kit.show.panels import Panel, draw_panels
-from spectra_kit.show.pen import Pen
 from spectra_kit.show.picture import save
 from spectra_kit.show.render import Scene, render
 
@@ -71,7 +69,7 @@ def draw_hero(
     row = TALL + CAPTION
     page = 2 * MARGIN + COLUMNS * (CELL + GAP) - GAP
     figure = new_figure(Page(dpi=dpi), page, 2 * row + MARGIN)
-    pen = Pen(figure)
+    canvas = Canvas(figure)
     error = float(np.sqrt(exact.mass @ (right - left) ** 2))  # the mode itself has norm 1
     captions = (
         ("exact eigenfunction", f"mode {MODE}, ARPACK"),
@@ -88,14 +86,14 @@ def draw_hero(
         high, wide = (side / dpi for side in picture.shape[:2])
         x = MARGIN + (place % COLUMNS) * (CELL + GAP) + (CELL - wide) / 2
         y = MARGIN + (place // COLUMNS) * row + (TALL - high) / 2
-        pen.picture(picture, x, y)
+        canvas.picture(picture, x, y)
     for place, (head, below) in enumerate(captions):
         x = MARGIN + (place % COLUMNS) * (CELL + GAP)
         y = MARGIN + (place // COLUMNS) * row + TALL
-        pen.text(head, x, y + 0.24, CELL, 11, bold=True, centred=True)
-        pen.text(below, x, y + 0.42, CELL, 8.5, centred=True, colour="0.4")
+        canvas.text(head, x, y + 0.24, CELL, 11, bold=True, centred=True)
+        canvas.text(below, x, y + 0.42, CELL, 8.5, centred=True, colour="0.4")
     corner = MARGIN + 3 * (CELL + GAP)
-    height = pen.height
+    height = canvas.height
     panel = figure.add_axes(
         (
             (corner + 0.5) / page,

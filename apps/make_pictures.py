@@ -31,6 +31,7 @@ from functools import cached_property
 from pathlib import Path
 
 from hero import draw_hero
+from measure.plots import ParetoPoint, plot_pareto
 
 import spectra_kit as sk
 from spectra_kit import show
@@ -118,9 +119,9 @@ def hero(studio: Studio) -> None:
 def modes(studio: Studio) -> None:
     """A gallery of modes."""
     show.plot_modes(
-        studio.path("modes.png"),
         studio.animal,
         studio.exact,
+        path=studio.path("modes.png"),
         modes=(1, 2, 3, 5, 8, 12, 20, 33, 54),
         page=show.Page("The lowest modes of a surface, with their nodal lines", dpi=studio.dpi),
     )
@@ -129,11 +130,11 @@ def modes(studio: Studio) -> None:
 def comparison(studio: Studio) -> None:
     """Exact, predicted, difference."""
     show.plot_comparison(
-        studio.path("comparison.png"),
         studio.animal,
         studio.exact,
         studio.predicted,
         studio.comparison,
+        path=studio.path("comparison.png"),
         modes=(5, 20, 50),
         names=("exact: Arpack()", "predicted: Neo()"),
         page=show.Page(dpi=studio.dpi),
@@ -144,9 +145,9 @@ def cloud(studio: Studio) -> None:
     """Modes of points."""
     points = sample(studio.animal, 8000, seed=0)
     show.plot_modes(
-        studio.path("cloud.png"),
         points,
         sk.eigensolve(sk.delaunay_laplacian(points), 40),
+        path=studio.path("cloud.png"),
         modes=(2, 8, 33),
         page=show.Page("The same surface as 8,000 points", dpi=studio.dpi),
     )
@@ -155,8 +156,8 @@ def cloud(studio: Studio) -> None:
 def spectrum(studio: Studio) -> None:
     """Eigenvalues and what is certain of them."""
     show.plot_spectrum(
-        studio.path("spectrum.png"),
         {"Arpack()": studio.exact, "Neo()": studio.predicted},
+        path=studio.path("spectrum.png"),
         page=show.Page("96 eigenvalues, exact and predicted", dpi=studio.dpi),
     )
 
@@ -165,10 +166,10 @@ def signatures(studio: Studio) -> None:
     """The heat kernel signature."""
     times = heat_times(studio.exact, 60)
     show.plot_signatures(
-        studio.path("signatures.png"),
         studio.animal,
         heat_kernel_signature(studio.exact, times),
         times,
+        path=studio.path("signatures.png"),
         points=farthest_points(studio.exact, 5),
         page=show.Page("Heat kernel signature", dpi=studio.dpi),
     )
@@ -178,9 +179,9 @@ def distance(studio: Studio) -> None:
     """Geodesic distances from the nose."""
     field = sk.HeatGeodesics(studio.animal, studio.exact).distance(studio.nose)
     show.plot_distance(
-        studio.path("distance.png"),
         studio.animal,
         field.distance,
+        path=studio.path("distance.png"),
         sources=studio.animal.points[[studio.nose]],
         page=show.Page("Geodesic distances by the heat method", dpi=studio.dpi),
     )
@@ -190,10 +191,10 @@ def match(studio: Studio) -> None:
     """A map between two poses."""
     source, target, found = studio.pair
     show.plot_correspondence(
-        studio.path("match.png"),
         source,
         target,
         found.point_map,
+        path=studio.path("match.png"),
         transfer="texture",
         names=("source", "target, textured by the map"),
         view=show.View("z"),
@@ -204,7 +205,7 @@ def match(studio: Studio) -> None:
 def animation(studio: Studio) -> None:
     """Modes that swing."""
     show.animate_modes(
-        studio.path("modes.gif"), studio.animal, studio.exact, modes=(2, 8, 20), width=320
+        studio.animal, studio.exact, path=studio.path("modes.gif"), modes=(2, 8, 20), width=320
     )
 
 
@@ -212,9 +213,9 @@ def real_modes(studio: Studio) -> None:
     """A gallery of modes of a toy."""
     mesh = studio.shape("koala")
     show.plot_modes(
-        studio.path("real_modes.png"),
         mesh,
         sk.eigensolve(sk.robust_laplacian(mesh), 40),
+        path=studio.path("real_modes.png"),
         modes=(1, 5, 12, 33),
         columns=4,
         page=show.Page("Modes of a koala of 49,999 vertices", dpi=studio.dpi),
@@ -227,11 +228,11 @@ def real_comparison(studio: Studio) -> None:
     laplacian = sk.robust_laplacian(mesh)
     exact, predicted = (sk.eigensolve(laplacian, 40, s) for s in (sk.Arpack(), sk.Neo()))
     show.plot_comparison(
-        studio.path("real_comparison.png"),
         mesh,
         exact,
         predicted,
         compare_spectra(exact, predicted),
+        path=studio.path("real_comparison.png"),
         modes=(20,),
         view=show.View(turn=150),
         names=("exact: Arpack()", "predicted: Neo()"),
@@ -244,9 +245,9 @@ def real_distance(studio: Studio) -> None:
     mesh = studio.shape("hammer")
     source = int(mesh.points[:, 1].argmax())
     show.plot_distance(
-        studio.path("real_distance.png"),
         mesh,
         sk.HeatGeodesics(mesh).distance(source).distance,
+        path=studio.path("real_distance.png"),
         sources=mesh.points[[source]],
         page=show.Page("Distances on a scanned hammer", dpi=studio.dpi),
     )
@@ -273,7 +274,7 @@ def pareto(studio: Studio) -> None:
         exact = f"to {method['stops_at']}" if method["stops_at"] else "approximate"
         time, error = one["slowdown"], one["eigenvalue_error"]
         points.append(
-            show.ParetoPoint(
+            ParetoPoint(
                 name=one["method"],
                 group="other packages" if method["peer"] else exact,
                 seconds=time["mean"],
@@ -281,9 +282,9 @@ def pareto(studio: Studio) -> None:
                 worst=(time["worst"], error["worst"]),
             )
         )
-    show.plot_pareto(
-        studio.path("pareto.png"),
+    plot_pareto(
         points,
+        path=studio.path("pareto.png"),
         xlabel="time, eigsh = 1: geometric mean; bars lead to the worst",
         ylabel="mean relative error of the eigenvalues",
         page=show.Page(

@@ -30,6 +30,7 @@ from typing import Any as _Any
 
 import lazy_loader
 
+from spectra_kit._core import shown as _shown
 from spectra_kit._core.version import VERSION
 
 __version__ = VERSION
@@ -37,6 +38,15 @@ __version__ = VERSION
 # The names stand in __init__.pyi, where type checkers look as well. They are imported when they are
 # first asked for: a command that needs little starts at once, torch and pyvista wait.
 _get, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def _plots() -> _Any:
+    from spectra_kit import show
+
+    return show
+
+
+_shown.plots = _plots  # by which geometries, spectra and distances draw themselves
 
 
 def __getattr__(name: str) -> _Any:

@@ -36,7 +36,7 @@ def help_section() -> str:
     from spectra_kit.cli.program import COMMANDS
 
     boxes = [f"```text\n{help_text()}\n```\n"]
-    boxes += [f"## {c.name}\n\n```text\n{help_text(c.name)}\n```\n" for c in COMMANDS]
+    boxes += [f"## {name}\n\n```text\n{help_text(name)}\n```\n" for name in COMMANDS]
     return "\n".join(boxes)
 
 

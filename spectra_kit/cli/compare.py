@@ -1,14 +1,23 @@
 """The command that sets predicted modes beside exact ones, and what the two are called."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from spectra_kit._core.validate import check_count
-from spectra_kit.cli import program, tables
+from spectra_kit.cli import tables
 from spectra_kit.cli.inputs import prepare
-from spectra_kit.cli.options import PICTURES, Predictor, refuse_given
+from spectra_kit.cli.options import (
+    DEMO,
+    PICTURES,
+    Indices,
+    OnOne,
+    Output,
+    Predictor,
+    Resolution,
+    SolverName,
+    Turned,
+    refuse_given,
+)
 from spectra_kit.cli.output import check_output, tell_with_picture
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.solving import (
@@ -29,7 +38,25 @@ _DRAWN = (1, 2, 5, 10, 25)
 _SMALL = 1e-3  # relative residuals up to here are exact; a solver may be asked for less
 
 
-def compare(asked: program.Compare) -> None:
+@dataclass(frozen=True, kw_only=True)
+class CompareOptions(OnOne, Predictor, Turned, Resolution):
+    """Set predicted modes beside exact ones: a table of errors, and a picture."""
+
+    examples = (
+        "compare bunny.obj -o errors.png",
+        "compare bunny.obj --spectrum bunny.npz --solver cascade",
+        f"compare {DEMO} --cloud 8000 --json",
+    )
+    keys = "input, geometry, reference, predicted, comparison, verdict, picture"
+
+    solver: SolverName | None = None
+    picture: Output | None = None
+    """draw exact | predicted | difference of the chosen modes (.png, .pdf, .svg) (default: none)"""
+    modes: Indices | None = None
+    """modes to show, counted from 0 (default: a handful)"""
+
+
+def compare(asked: CompareOptions) -> None:
     """Set predicted modes beside exact ones, or others, as a table and as a picture."""
     if asked.picture:
         check_output(asked.picture, PICTURES, asked.inputs)
@@ -46,11 +73,11 @@ def compare(asked: program.Compare) -> None:
         first = max(comparison.n_zero_modes - 1, 0)  # one constant function per component is dull
         notes = [tables.comparison_line(comparison), *pair.cautions]
         plot_comparison(
-            path,
             geometry,
             pair.reference,
             pair.predicted,
             comparison,
+            path=path,
             modes=shown_modes(asked.modes, [i + first for i in _DRAWN], k),
             names=pair.names,
             view=View(asked.upwards, asked.turn),
@@ -156,7 +183,7 @@ def ritz_subspace(solver: Eigensolver) -> Subspace | None:
 
     Modes that were smoothed are in the span of none.
     """
-    if isinstance(solver, Neo) and (solver.smoothing or solver.cap is not None):
+    if isinstance(solver, Neo) and (solver.max_steps or solver.coarsest is not None):
         return None
     return solver.subspace if isinstance(solver, RayleighRitz | Neo) else None
 

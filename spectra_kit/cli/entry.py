@@ -11,11 +11,10 @@ from collections.abc import Callable, Sequence
 from typing import Any, TextIO
 
 from spectra_kit._core.files import naming
-from spectra_kit._core.records import printable
+from spectra_kit._core.shown import printable
 from spectra_kit._core.version import VERSION
-from spectra_kit.cli.help import help_text
 from spectra_kit.cli.options import refuse_unused
-from spectra_kit.cli.program import NAMED, UsageError, parse
+from spectra_kit.cli.program import UsageError, help_text, parse
 from spectra_kit.cli.progress import STDOUT, telling
 from spectra_kit.cli.words import told
 from spectra_kit.errors import (
@@ -59,10 +58,9 @@ def main(argv: Sequence[str] | None = None, *, ready: Callable[[], object] = lam
         if argv[:1] == ["--version"]:
             text = f"spectra_kit {VERSION}\n"
         elif {"-h", "--help"}.intersection(argv):  # found here, it costs no console
-            text = help_text(NAMED.get(argv[0]))
+            text = help_text(argv[0])
         else:
-            asked = parse(argv)
-            command = asked.load()
+            asked, command = parse(argv)
             ready()
             with telling(quiet=asked.quiet):
                 refuse_unused(asked)

@@ -1,14 +1,21 @@
 """The command that shows modes in the browser: as a page of its own, or served to this machine."""
 
-from __future__ import annotations
-
+from dataclasses import dataclass
 from pathlib import Path
 
 from spectra_kit._core.validate import check_count, quantity
-from spectra_kit.cli import program, tables
+from spectra_kit.cli import tables
 from spectra_kit.cli.compare import check_pair, compared, name_of, named_record, reference_modes
 from spectra_kit.cli.inputs import prepare
-from spectra_kit.cli.options import refuse_given
+from spectra_kit.cli.options import (
+    DEMO,
+    OnOne,
+    OptionalName,
+    Output,
+    Predictor,
+    Upright,
+    refuse_given,
+)
 from spectra_kit.cli.output import check_output, tell
 from spectra_kit.cli.progress import counted, say
 from spectra_kit.cli.words import stem
@@ -16,7 +23,33 @@ from spectra_kit.show import View
 from spectra_kit.show.explorer import Explorer, write_explorer
 
 
-def explore(asked: program.Explore) -> None:
+@dataclass(frozen=True, kw_only=True)
+class ExploreOptions(OnOne, Predictor, Upright):
+    """Look at modes in the browser, exact and predicted side by side."""
+
+    examples = (
+        "explore bunny.obj -o bunny.html",
+        "explore bunny.obj --serve",
+        f"explore {DEMO} -k 24 --solver none",
+    )
+    keys = "input, geometry, reference, predicted, comparison, verdict, explorer, url"
+
+    solver: OptionalName | None = None
+    """what predicts, or none (default: neo)"""
+    html: Output | None = None
+    """the page to write: one file that needs no network (default: the name of FILE with .html, in
+    the current folder)"""
+    serve: bool = False
+    """serve the page to this machine alone, too, until Ctrl-C"""
+    max_points: int = 50_000
+    """show at most so many points of a larger geometry"""
+    port: int = 0
+    """of --serve (default: a free one)"""
+    no_browser: bool = False
+    """with --serve, do not open a browser"""
+
+
+def explore(asked: ExploreOptions) -> None:
     """Write the page, or serve it until Ctrl-C."""
     page = asked.html or Path(Path(asked.file).stem + ".html")
     if not asked.serve:

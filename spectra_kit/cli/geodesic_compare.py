@@ -5,22 +5,24 @@ from __future__ import annotations
 import os
 import time
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from spectra_kit._core.types import Floats
 from spectra_kit._sparse.solution import LinearSolution
-from spectra_kit.cli import program, tables
-from spectra_kit.cli.geodesic_setup import number_of_modes
+from spectra_kit.cli import tables
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.solving import solve
 from spectra_kit.eigen import Spectrum
 from spectra_kit.geodesics import Direct, HeatGeodesics, Iterative
 from spectra_kit.geodesics.sources import Sources
 from spectra_kit.geometry import Geometry, TriangleMesh
-from spectra_kit.operators import IntrinsicTriangulation
+from spectra_kit.operators import IntrinsicTriangulation, Laplacian
 from spectra_kit.show import SolverRun
+
+if TYPE_CHECKING:
+    from spectra_kit.cli.geodesic import GeodesicOptions
 
 _MODES = 96  # as many as the NEO paper takes
 _REPEATS = 2  # of everything, by turns; the faster counts, in which all is loaded and compiled
@@ -68,7 +70,7 @@ class Compared:
 
 
 def compare_solvers(
-    asked: program.Geodesic,
+    asked: GeodesicOptions,
     geometry: Geometry,
     triangulation: IntrinsicTriangulation,
     sources: Sources,
@@ -113,8 +115,13 @@ def clock_note() -> str:
     )
 
 
+def number_of_modes(asked: GeodesicOptions, laplacian: Laplacian, *, usual: int) -> int:
+    """Return how many modes the coarse space has, those of eigenvalue 0 aside."""
+    return usual if asked.k is None else max(asked.k - laplacian.kernel_dimension, 1)
+
+
 def _solvers(
-    asked: program.Geodesic, triangulation: IntrinsicTriangulation
+    asked: GeodesicOptions, triangulation: IntrinsicTriangulation
 ) -> dict[str, tuple[Direct | Iterative, Spectrum | None] | None]:
     """Return the solvers by name, each with the modes that it uses; None is the other package."""
     laplacian, rtol = triangulation.laplacian, asked.poisson_rtol
@@ -123,11 +130,11 @@ def _solvers(
     few = min(modes, shipped.modes)
 
     def spectrum(solver: str, n: int) -> Spectrum:
-        told = replace(asked, start=None, rtol=None)
+        told = replace(asked, accuracy=None, start=None, rtol=None)
         k = min(n + laplacian.kernel_dimension, laplacian.n)
         return solve(laplacian, k, solver, told)
 
-    exact = spectrum("arpack", modes)
+    exact = spectrum("automatic", modes)
     # One base for all that differ in the coarse space alone: level 0, as in the paper.
     base = Iterative(coarse="none", drop=None, relaxation=0.0, modes=modes, rtol=rtol)
     additive = replace(base, coarse="additive")
@@ -137,7 +144,7 @@ def _solvers(
         f"IC(0) + {modes} NEO modes": (additive, spectrum("neo", modes)),
         f"IC(0) + {modes} exact modes, projected": (replace(base, coarse="projected"), exact),
         "relaxed IC": (replace(shipped, coarse="none"), None),
-        f"relaxed IC + {few} exact modes": (shipped, spectrum("arpack", few)),
+        f"relaxed IC + {few} exact modes": (shipped, spectrum("automatic", few)),
         _DIRECT: (Direct(), None),
         "potpourri3d": None,
     }

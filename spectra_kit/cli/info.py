@@ -1,13 +1,13 @@
-"""The commands that say what is in a file, and what a shell needs to complete a command line."""
-
-from __future__ import annotations
+"""The command that says what is in a file."""
 
 import dataclasses
 from contextlib import nullcontext
+from dataclasses import dataclass
 
 from spectra_kit._core.validate import hearing
-from spectra_kit.cli import program, tables
+from spectra_kit.cli import tables
 from spectra_kit.cli.inputs import assemble, load
+from spectra_kit.cli.options import OnOne, OperatorName
 from spectra_kit.cli.output import tell
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.words import told
@@ -15,7 +15,18 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import diagnose
 
 
-def info(asked: program.Info) -> None:
+@dataclass(frozen=True, kw_only=True)
+class InfoOptions(OnOne):
+    """Say what a file holds, what is wrong with it and what can be made of it."""
+
+    examples = ("info bunny.obj", "info scan.ply --repair", "info bunny.obj --json")
+    keys = "input, kind, diagnosis, problems, operator"
+
+    operator: OperatorName | None = "delaunay"
+    """Laplacian; delaunay is robust on meshes, too, with less memory"""
+
+
+def info(asked: InfoOptions) -> None:
     """Say what a file holds, what is wrong with it, and what the operator makes of it."""
     geometry, _ = load(asked.file, asked)
     with step("looking at it"):
@@ -36,9 +47,3 @@ def info(asked: program.Info) -> None:
     }
     lines = tables.diagnosis_lines(asked.file, geometry, diagnosis)
     tell(asked, record, lines, tables.pairs(operator))
-
-
-def completion(asked: program.Completion) -> None:
-    """Print what a shell has to run."""
-    script = program.app().generate_completion(shell=asked.shell)
-    tell(asked, {"shell": asked.shell, "script": script}, script.removesuffix("\n"))

@@ -1,16 +1,24 @@
 """The commands that say what a shape is like, and what its parts are."""
 
-from __future__ import annotations
-
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from spectra_kit._core.records import printable
+from spectra_kit._core.shown import printable
 from spectra_kit._core.validate import check_count
-from spectra_kit.cli import program, tables
+from spectra_kit.cli import tables
 from spectra_kit.cli.inputs import load
-from spectra_kit.cli.options import PICTURES
+from spectra_kit.cli.options import (
+    PICTURES,
+    Count,
+    OneFile,
+    Output,
+    Resolution,
+    Solver,
+    SolverName,
+    Turned,
+)
 from spectra_kit.cli.output import check_output, tell_with_picture
 from spectra_kit.cli.progress import counted, say, step
 from spectra_kit.cli.solving import check_solvers, make_solver
@@ -28,7 +36,51 @@ from spectra_kit.learn import (
 )
 
 
-def similar(asked: program.Similar) -> None:
+@dataclass(frozen=True, kw_only=True)
+class SimilarOptions(OneFile, Solver, Turned, Resolution):
+    """Find the shapes of a folder that are most like one, whatever their pose, size and place."""
+
+    examples = (
+        "similar cat.off animals",
+        "similar cat.off animals --index known.safetensors -o like.png",
+        "similar scan.ply animals --cloud 4000 --solver neo",
+    )
+    keys = "input, folder, indexed, left_out, neighbours, picture"
+    operands = "FILE FOLDER [options]"
+
+    folder: Path = field(kw_only=False)
+    """meshes and point clouds to search"""
+    k: Count = 96
+    solver: SolverName = "automatic"
+    count: int = 8
+    """shapes to name"""
+    index: Path | None = None
+    """keep what was computed in this .safetensors file: only files that are new or have changed are
+    embedded the next time (default: none)"""
+    picture: Output | None = None
+    """draw them (.png, .pdf, .svg) (default: none)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelOptions(OneFile, Turned, Resolution):
+    """Tell what a shape is, or what its parts are, by what a labeller has learned."""
+
+    examples = (
+        "label a.ply known.safetensors",
+        "label body.obj bodies.safetensors -o parts.npz --picture p.png",
+    )
+    keys = "input, labeller, label, name, scores, parts, output, picture"
+    operands = "FILE LABELLER [options]"
+
+    labeller: Path = field(kw_only=False)
+    """what learn.save_labeller wrote"""
+    output: Output | None = None
+    """write the labels of points and faces, and all scores, to this .npz file (default: none)"""
+    picture: Path | None = None
+    """draw the parts (.png, .pdf, .svg) (default: none)"""
+
+
+def similar(asked: SimilarOptions) -> None:
     """Search a folder for the shapes that are most like one, and draw them."""
     check_count("--count", asked.count, low=1)
     check_count("-k", asked.k, low=4)
@@ -78,16 +130,16 @@ def similar(asked: program.Similar) -> None:
     lines = "\n".join(f"{near.distance:8.3f}  {printable(near.name)}" for near in found)
 
     def draw(path: Path) -> None:
-        from spectra_kit.show import Page, Portrait, View, plot_portraits
+        from spectra_kit.show import Page, Thumbnail, View, plot_thumbnails
 
-        portraits = [Portrait(geometry=shape, lines=(stem(asked.file), "asked for"))]
+        thumbnails = [Thumbnail(geometry=shape, lines=(stem(asked.file), "asked for"))]
         for near in found:
             other, _ = load(str(asked.folder / near.name), asked)
-            portraits.append(
-                Portrait(geometry=other, lines=(stem(near.name), f"{near.distance:.3f}"))
+            thumbnails.append(
+                Thumbnail(geometry=other, lines=(stem(near.name), f"{near.distance:.3f}"))
             )
         page = Page(f"Most like {stem(asked.file)}", dpi=asked.dpi)
-        plot_portraits(path, portraits, view=View(up=asked.up, turn=asked.turn), page=page)
+        plot_thumbnails(thumbnails, path=path, view=View(up=asked.up, turn=asked.turn), page=page)
 
     tell_with_picture(
         asked,
@@ -101,7 +153,7 @@ def similar(asked: program.Similar) -> None:
     )
 
 
-def label(asked: program.Label) -> None:
+def label(asked: LabelOptions) -> None:
     """Tell what a shape is, or what its parts are; write and draw these."""
     shape, _ = load(asked.file, asked)
     labeller = load_labeller(asked.labeller)
@@ -148,12 +200,12 @@ def label(asked: program.Label) -> None:
     record["output"] = asked.output
 
     def draw(path: Path) -> None:
-        from spectra_kit.show import Page, Portrait, View, plot_portraits
+        from spectra_kit.show import Page, Thumbnail, View, plot_thumbnails
 
-        portrait = Portrait(geometry=shape, labels=found.labels, lines=(stem(asked.file),))
+        thumbnail = Thumbnail(geometry=shape, labels=found.labels, lines=(stem(asked.file),))
         page = Page(dpi=asked.dpi)
         view = View(up=asked.up, turn=asked.turn)
-        plot_portraits(path, [portrait], view=view, page=page)
+        plot_thumbnails([thumbnail], path=path, view=view, page=page)
 
     lines = "\n".join(
         f"{100 * share:6.1f} %  {printable(name)}"

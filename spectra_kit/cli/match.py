@@ -1,10 +1,8 @@
 """Match two shapes: a point map, its quality, and pictures."""
 
-from __future__ import annotations
-
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +11,21 @@ from scipy.spatial import cKDTree
 
 from spectra_kit._core.types import Ints
 from spectra_kit._core.validate import check_indices
-from spectra_kit.cli import program, tables
+from spectra_kit.cli import tables
 from spectra_kit.cli.inputs import Numbering, assemble, load
-from spectra_kit.cli.options import DEMO, refuse_given
+from spectra_kit.cli.options import (
+    DEMO,
+    Count,
+    FolderDrawing,
+    GeometryFile,
+    Operator,
+    Output,
+    Reading,
+    Sides,
+    Solver,
+    SolverName,
+    refuse_given,
+)
 from spectra_kit.cli.output import as_json, check_folder, drawing, tell, together
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.solving import check_solvers, solve
@@ -23,9 +33,8 @@ from spectra_kit.cli.words import stem
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, creature_pair, write
-from spectra_kit.geometry.formats._arrays import whole
-from spectra_kit.geometry.formats._text import text_lines
 from spectra_kit.geometry.formats.numpy_arrays import read_npy
+from spectra_kit.geometry.formats.xyz import read_integers
 from spectra_kit.maps import (
     MapErrors,
     Match,
@@ -51,12 +60,55 @@ from spectra_kit.show import Page, View, plot_correspondence, plot_error_curves,
 _MAPS = ("point_map.npy", "functional_map.npy", "report.json")
 _COVERED, _PRECISE = "covered.npy", "precise_map.npz"
 _SIDES = ("source.npz", "target.npz")
-MIRRORED = {"either": None, "kept": False, "reversed": True}
 _LINES = "hold lines of two integers, on the source and on the target"
 _PICTURES = ("correspondence.png", "functional_map.png", "errors.png")
 
 
-def match_shapes(asked: program.Match) -> None:
+@dataclass(frozen=True, kw_only=True)
+class _Known(Sides, Reading, group="input"):
+    """The two geometries, and what is known of the map."""
+
+    source: GeometryFile = field(kw_only=False)
+    target: GeometryFile = field(kw_only=False)
+    part: bool = False
+    """SOURCE is a part, such as a scan that lacks a limb, and TARGET a whole: find which points of
+    the whole have a partner on the part, too (covered.npy)"""
+    landmarks: Path | None = None
+    """corresponding points: a line for each with its number on the source and on the target,
+    counted from 0"""
+    aligned: bool = False
+    """the shapes lie on each other, as two moments of a recording do: begin with nearest points,
+    and search for no other map"""
+    initial: Path | None = None
+    """begin with this map, and search for no other: the source point of each target point, an .npy
+    file"""
+    truth: Path | None = None
+    """the true source point of each target point, an .npy file to measure errors by (negative:
+    unknown)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchOptions(_Known, Operator, Solver, FolderDrawing):
+    """Find the source point that each target point is, and judge the map."""
+
+    examples = (
+        "match cat.off lion.off -o maps",
+        "match scan.ply body.off --part -o parts",
+        f"match {DEMO} {DEMO} --points 2000",
+    )
+    keys = "source, target, landmarks, match, written"
+    operands = "SOURCE TARGET [options]"
+
+    k: Count = 150
+    solver: SolverName = "automatic"
+    output: Output = Path("match")
+    """folder for the maps, the report and the pictures"""
+    precise: bool = False
+    """also find where on the triangles of SOURCE each target point lies: its barycentric
+    coordinates, a sparse matrix of SciPy (precise_map.npz)"""
+
+
+def match_shapes(asked: MatchOptions) -> None:
     """Match, judge the map, write maps, report and pictures into one folder."""
     folder = asked.output
     # The demo is one animal in two poses, whose true map is known.
@@ -187,13 +239,13 @@ class Side:
         }
 
 
-def _solve(asked: program.Match, name: str, geometry: Geometry) -> Side:
+def _solve(asked: MatchOptions, name: str, geometry: Geometry) -> Side:
     with step(f"{name}: assembling the Laplacian of {geometry.n:,} points"):
         laplacian = assemble(asked, geometry)
     return Side(name, geometry, laplacian, solve(laplacian, asked.k, asked.solver, asked))
 
 
-def _check_triangles(asked: program.Match, source: Geometry, target: Geometry) -> None:
+def _check_triangles(asked: MatchOptions, source: Geometry, target: Geometry) -> None:
     """Refuse clouds where triangles are asked for."""
     clouds = [not isinstance(side, TriangleMesh) for side in (source, target)]
     if asked.part and any(clouds):
@@ -208,7 +260,7 @@ def _check_triangles(asked: program.Match, source: Geometry, target: Geometry) -
 
 
 def _matched(
-    asked: program.Match,
+    asked: MatchOptions,
     source: Side,
     target: Side,
     landmarks: tuple[Ints, Ints] | None,
@@ -218,7 +270,7 @@ def _matched(
     start = time.perf_counter()
     first, second = (_prepared(side) for side in (source, target))
     middle = time.perf_counter()
-    mirrored, k = MIRRORED[asked.sides], source.spectrum.k
+    mirrored, k = asked.mirrored, source.spectrum.k
     if asked.part:
         found = match_part(first, second, mirrored=mirrored, k=k)
     else:
@@ -260,14 +312,11 @@ def _prepared(side: Side) -> Prepared:
 
 def _read_landmarks(path: Path, source: Numbering, target: Numbering) -> tuple[Ints, Ints]:
     """Two columns of numbers: on the source, on the target."""
-    rows = []
-    for number, words in text_lines(path):
-        try:
-            first, second = map(whole, words)
-        except ValueError as error:
-            got = f"{' '.join(words)[:60]!r} in line {number}"
-            raise InvalidFileError(path, InvalidInputError("--landmarks", _LINES, got)) from error
-        rows.append((first, second))
+    try:
+        rows = read_integers(path, 2)
+    except ValueError as error:
+        problem = InvalidInputError("--landmarks", _LINES, str(error))
+        raise InvalidFileError(path, problem) from error
     if not rows:
         raise InvalidFileError(path, InvalidInputError("--landmarks", _LINES, "none"))
     sources, targets = zip(*rows, strict=True)
@@ -386,7 +435,7 @@ def quality_of(source: Side, target: Side, found: Match) -> tables.Record:
 
 
 def _draw(
-    asked: program.Match,
+    asked: MatchOptions,
     paths: list[Path],
     source: Side,
     target: Side,
@@ -398,10 +447,10 @@ def _draw(
     title = " to ".join(names)
     page = Page(title, dpi=asked.dpi)
     plot_correspondence(
-        paths[0],
         source.geometry,
         target.geometry,
         found.point_map,
+        path=paths[0],
         errors=errors,
         error_label=label,
         covered=found.covered,
@@ -409,9 +458,9 @@ def _draw(
         names=names if names[0] != names[1] else ("source", "target"),
         page=Page(title, f"{source.geometry.n:,} and {target.geometry.n:,} points", asked.dpi),
     )
-    plot_functional_map(paths[1], found.functional_map, page=page)
+    plot_functional_map(found.functional_map, path=paths[1], page=page)
     if errors:
-        plot_error_curves(paths[2], {title: errors.direct}, error_label=label, page=page)
+        plot_error_curves({title: errors.direct}, path=paths[2], error_label=label, page=page)
 
 
 def _told(value: object) -> object:

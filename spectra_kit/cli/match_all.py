@@ -1,36 +1,71 @@
 """Match many pairs of shapes of a store."""
 
-from __future__ import annotations
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
 
-from spectra_kit.cli import program
-from spectra_kit.cli.match import MIRRORED
-from spectra_kit.cli.options import refuse_given
+from cyclopts import Parameter
+
+from spectra_kit.cli.options import Count, Sides, refuse_given
 from spectra_kit.cli.output import check_output
-from spectra_kit.cli.workers import engine_of, part_of, running, tell_run
-from spectra_kit.datasets import Matching, SpectrumStore, write_match_table
-from spectra_kit.datasets.collected import OF_COLLECTED, collected
-from spectra_kit.datasets.files import MARK
-from spectra_kit.datasets.match_table import OF_PAIRS
-from spectra_kit.datasets.pairs import only_plan, pairs_of, records_of
-from spectra_kit.datasets.run_pairs import match_records
-from spectra_kit.datasets.table import check_columns
+from spectra_kit.cli.workers import Workers, engine_of, opened, part_of, running, tell_run
+from spectra_kit.datasets import Matching
+from spectra_kit.datasets.inputs import only_plan, pairs_of, records_of
+from spectra_kit.datasets.pairs import OF_COLLECTED, collected, match_records
+from spectra_kit.datasets.table import OF_PAIRS, check_columns
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.maps.prepare import LOWEST_K
 
 _OF_WORKERS = ("nworkers", "nthreads", "memory_limit", "scheduler", "scheduler_file", "shard")
 
 
-def match_pairs(asked: program.MatchAll) -> None:
+@dataclass(frozen=True, kw_only=True)
+class _Kept(Sides, group="input"):
+    """The store, and what to match of it."""
+
+    store: Path = field(kw_only=False)
+    """a folder that `batch` has filled"""
+    pairs: Annotated[Path, Parameter(metavar="all|FILE")]
+    """all shapes with all others, each two once; or a .csv file with columns `source` and `target`,
+    names of the store, and more for the table"""
+    k: Count | None = None
+    """number of modes: match the spectra that have so many (default: those there are)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchAllOptions(_Kept, Workers):
+    """Match shapes of a store in pairs, each once; the maps go into the store."""
+
+    examples = (
+        "match-all store --pairs all",
+        "match-all store --pairs pairs.csv --csv maps.csv",
+        "match-all store --pairs all --together --csv maps.csv",
+    )
+    keys = (
+        "pairs, computed, known, failed, ambiguous, not_convincing, groups, foreign, replaced,"
+        " seconds, store, csv"
+    )
+    operands = "STORE --pairs all|FILE [options]"
+
+    csv: Path | None = None
+    """write a row for each pair to this .csv file: score, margin, doubts, key of the map
+    (default: none)"""
+    strict: bool = False
+    """stop at the first pair that fails"""
+    together: bool = False
+    """match the shapes as one collection, by this process alone: maps agree over all cycles (cycle
+    errors are in the table); groups of shapes that fit, and those that fit none, are named"""
+
+
+def match_pairs(asked: MatchAllOptions) -> None:
     """Match pairs of a store, tell what failed, write the table."""
-    if not (asked.store / MARK).is_file():
-        raise InvalidInputError(f"{str(asked.store)!r} is no store", advice="name one")
+    store = opened(asked.store)
     if asked.together:
         refuse_given(asked, _OF_WORKERS, "with --together, which one process does; match alone")
         if asked.sides == "reversed":
             raise InvalidInputError("--sides", "be either or kept with --together", asked.sides)
     if asked.csv:
         check_output(asked.csv, [".csv"], [asked.pairs])
-    store = SpectrumStore(asked.store)
     plan = only_plan(store, asked.k)
     if (k := int(str(plan["k"]))) < LOWEST_K:
         raise InvalidInputError(
@@ -43,7 +78,7 @@ def match_pairs(asked: program.MatchAll) -> None:
     pairs = part_of(asked, pairs_of(asked.pairs, store, plan))
     if asked.csv:
         check_columns(pairs, OF_PAIRS + OF_COLLECTED * asked.together)
-    matching = Matching(k=k, mirrored=MIRRORED[asked.sides])
+    matching = Matching(k=k, mirrored=asked.mirrored)
 
     def missing() -> int:
         ends = [(records.get(pair.source), records.get(pair.target)) for pair in pairs]
@@ -55,13 +90,13 @@ def match_pairs(asked: program.MatchAll) -> None:
     together = engine = None
     if asked.together:
         with running("joining", "shape") as progress:
-            together, pairs = collected(store, pairs, records, matching=matching, progress=progress)
+            together, pairs = collected(pairs, store, records, matching=matching, progress=progress)
     else:
         engine = engine_of(asked, "pair", missing)
     with running("matching", "pair") as progress:
         report = match_records(
-            store,
             pairs,
+            store,
             records,
             matching=matching,
             engine=engine,
@@ -69,22 +104,11 @@ def match_pairs(asked: program.MatchAll) -> None:
             progress=progress,
             together=together,
         )
-    if asked.csv:
-        write_match_table(asked.csv, report)
-    found = [one for _, one in report.completed]
+    found = [done.record for _, done in report.completed]
     doubts = {
         "ambiguous": sum(one.ambiguous for one in found),
         "not_convincing": sum(not one.convincing for one in found),
         "groups": together and together.collection.groups,
         "foreign": together and together.collection.foreign,
     }
-    tell_run(
-        asked,
-        report,
-        noun="pair",
-        key="pairs",
-        count=len(pairs),
-        store=asked.store,
-        csv=asked.csv,
-        more=doubts,
-    )
+    tell_run(asked, report, asked.store, doubts)

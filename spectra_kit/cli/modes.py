@@ -1,13 +1,24 @@
 """The commands that compute modes and show them: as numbers, as pictures, swinging."""
 
-from __future__ import annotations
-
+from dataclasses import dataclass
 from pathlib import Path
 
 from spectra_kit._core.validate import check_count, check_positive, quantity
-from spectra_kit.cli import program, tables
+from spectra_kit.cli import tables
 from spectra_kit.cli.inputs import prepare
-from spectra_kit.cli.options import PICTURES
+from spectra_kit.cli.options import (
+    DEMO,
+    PICTURES,
+    Count,
+    Indices,
+    OnOne,
+    Output,
+    Resolution,
+    Solver,
+    SolverName,
+    Spared,
+    Turned,
+)
 from spectra_kit.cli.output import check_output, tell, tell_with_picture
 from spectra_kit.cli.progress import counted, say, step
 from spectra_kit.cli.solving import (
@@ -24,7 +35,83 @@ from spectra_kit.geometry import Geometry
 from spectra_kit.operators import Laplacian
 
 
-def spectrum(asked: program.Spectrum) -> None:
+@dataclass(frozen=True, kw_only=True)
+class SpectrumOptions(OnOne, Solver, Resolution):
+    """Compute the lowest eigenvalues and eigenfunctions, each with a certificate of accuracy."""
+
+    examples = (
+        "spectrum bunny.obj -o bunny.npz",
+        "spectrum bunny.obj --solver refined --rtol 1e-8 --verify",
+        f"spectrum {DEMO} -k 24 --accuracy 1e-3 --picture spectrum.png",
+    )
+    keys = "input, geometry, eigenvalues, certificate, provenance, verdict, output, picture"
+
+    k: Count = 96
+    solver: SolverName = "automatic"
+    output: Output | None = None
+    """write the spectrum to this .npz file (default: none)"""
+    picture: Path | None = None
+    """draw eigenvalues, Weyl's law and residuals (.png, .pdf, .svg) (default: none)"""
+    modes: Indices | None = None
+    """modes to show, counted from 0 (default: a handful)"""
+    verify: bool = False
+    """count the eigenvalues to prove that no mode was missed (a few factorisations)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown(OnOne, Spared, Turned):
+    """Modes that are drawn: those asked for are solved for, unless they are saved."""
+
+    k: Count | None = None
+    """number of modes (default: as many as are shown)"""
+    solver: SolverName = "automatic"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModesOptions(Shown, Resolution):
+    """Draw modes on the surface, with their zero lines, eigenvalues and residuals."""
+
+    examples = (
+        "modes bunny.obj -o modes.png",
+        "modes bunny.obj --spectrum bunny.npz --modes 1,5,20",
+        f"modes {DEMO} -o modes.pdf --dpi 600",
+    )
+    keys = "input, geometry, eigenvalues, certificate, provenance, verdict, modes, picture"
+
+    output: Output = Path("modes.png")
+    """the picture (.png, .pdf, .svg)"""
+    modes: Indices | None = None
+    """modes to show, counted from 0 (default: the first 12 that are not constant)"""
+    columns: int | None = None
+    """modes in a row (default: as fits)"""
+    no_lines: bool = False
+    """leave the zero lines out"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnimateOptions(Shown):
+    """Let modes swing, one after the other, in a GIF or an MP4."""
+
+    examples = (
+        "animate bunny.obj -o modes.gif",
+        "animate bunny.obj --spectrum bunny.npz --modes 7",
+        f"animate {DEMO} -o modes.mp4 --width 720 --fps 30",
+    )
+    keys = "input, geometry, eigenvalues, certificate, provenance, verdict, modes, animation"
+
+    output: Output = Path("modes.gif")
+    """the animation: .gif, or .mp4 where imageio-ffmpeg is installed"""
+    modes: Indices | None = None
+    """modes to show, counted from 0 (default: the first 6 that are not constant)"""
+    seconds: float = 2.0
+    """that each mode is shown"""
+    fps: int = 20
+    """frames per second"""
+    width: int = 480
+    """pixels"""
+
+
+def spectrum(asked: SpectrumOptions) -> None:
     """Compute the lowest modes, show a few, save all, draw their eigenvalues."""
     output = asked.output
     if output:
@@ -53,7 +140,7 @@ def spectrum(asked: program.Spectrum) -> None:
         from spectra_kit.show.spectra import free_boundary
 
         page = Page(tables.title(asked.file, geometry), dpi=asked.dpi)
-        plot_spectrum(path, found, free_boundary=free_boundary(geometry, found), page=page)
+        plot_spectrum(found, path=path, free_boundary=free_boundary(geometry, found), page=page)
 
     tell_with_picture(
         asked,
@@ -81,7 +168,7 @@ def _rescue(error: ConvergenceError | OutOfMemoryError, path: Path) -> None:
     say(f"{quantity(partial.k, 'mode')}, of which {reached} converged: {path}")
 
 
-def modes(asked: program.Modes) -> None:
+def modes(asked: ModesOptions) -> None:
     """Draw modes on one page."""
     if asked.columns is not None:
         check_count("--columns", asked.columns, low=1)
@@ -90,9 +177,9 @@ def modes(asked: program.Modes) -> None:
 
     with step(f"drawing {quantity(len(shown), 'mode')}"):
         plot_modes(
-            asked.output,
             geometry,
             spectrum,
+            path=asked.output,
             modes=shown,
             nodal_lines=not asked.no_lines,
             columns=asked.columns,
@@ -102,7 +189,7 @@ def modes(asked: program.Modes) -> None:
     _tell(asked, "picture", geometry, laplacian, spectrum, shown)
 
 
-def animate(asked: program.Animate) -> None:
+def animate(asked: AnimateOptions) -> None:
     """Let modes swing, one after the other."""
     check_positive("--seconds", asked.seconds)
     check_count("--fps", asked.fps, low=1)
@@ -112,9 +199,9 @@ def animate(asked: program.Animate) -> None:
 
     with counted(f"drawing {quantity(len(shown), 'mode')}", "frame") as progress:
         animate_modes(
-            asked.output,
             geometry,
             spectrum,
+            path=asked.output,
             modes=shown,
             seconds_per_mode=asked.seconds,
             fps=asked.fps,
@@ -126,7 +213,7 @@ def animate(asked: program.Animate) -> None:
 
 
 def _to_show(
-    asked: program.Modes | program.Animate, suffixes: tuple[str, ...], usual: int
+    asked: ModesOptions | AnimateOptions, suffixes: tuple[str, ...], usual: int
 ) -> tuple[Geometry, Laplacian, Spectrum, tuple[int, ...]]:
     """Return modes, and which to show: those asked for, else the first that are not constant."""
     check_output(asked.output, suffixes, asked.inputs)
@@ -150,7 +237,7 @@ def _to_show(
 
 
 def _tell(
-    asked: program.Modes | program.Animate,
+    asked: ModesOptions | AnimateOptions,
     what: str,
     geometry: Geometry,
     laplacian: Laplacian,

@@ -1,19 +1,18 @@
 """What several commands can be told: each option once, with its type, its default and its help.
 
-A command (see `program`) is a frozen dataclass of all its options; here are those that it shares.
+A command is a frozen dataclass of all its options, beside the function that does it; here are those
+that it shares. Annotations are evaluated here and there: each gets the group that the help shows it
+in.
 """
-
-from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
-from importlib import import_module
+from collections.abc import Sequence
+from dataclasses import Field, dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_origin
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 from spectra_kit.catalogue import OPERATORS, SOLVERS, SUBSPACES
 from spectra_kit.errors import InvalidInputError
@@ -23,6 +22,9 @@ FORMATS = "obj, off, ply, stl, glb, gltf, xyz, npy, npz"
 PICTURES = (".png", ".pdf", ".svg")
 NETWORK = ("weights", "poses", "dtype", "device")  # what the network alone may be told
 _DRAWN = ("dpi", "up", "turn")
+_READ = ("file", "source", "target", "spectrum", "landmarks", "initial", "truth", "labeller")
+_PLACES = ("input", "sources", "method", "operator", "solver", "workers", "output", "drawing")
+_GROUPS = {name: Group(name, sort_key=i) for i, name in enumerate((*_PLACES, "general"))}
 
 
 def _integers(_: object, tokens: Sequence[Any]) -> tuple[int, ...]:
@@ -38,17 +40,13 @@ def words(_: object, tokens: Sequence[Any]) -> tuple[str, ...]:
     return tuple(part.strip() for part in tokens[0].value.split(","))
 
 
-def operand(name: str) -> Parameter:
-    """Return what is named by its place, as geometries are."""
-    text = f"a mesh or point cloud ({FORMATS}), or {DEMO!r} for an animal made on the spot"
-    return Parameter(name=name, help=text)
-
-
 if TYPE_CHECKING:
     File = str
 else:  # a text; but of a path the shell knows how to complete it
     File = str | Path
 
+_GEOMETRY = f"a mesh or point cloud ({FORMATS}), or {DEMO!r} for an animal made on the spot"
+GeometryFile = Annotated[File, Parameter(help=_GEOMETRY)]
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 Count = Annotated[int, Parameter(name="-k", metavar="K")]
 Indices = Annotated[tuple[int, ...], Parameter(converter=_integers, n_tokens=1, metavar="I,J,...")]
@@ -65,41 +63,43 @@ class Command:
 
     name: ClassVar[str]  # as typed
     usage: ClassVar[str]
-    outcome: ClassVar[str]  # what one gets, in a few words
-    examples: ClassVar[tuple[str, ...]]  # the first one stands in the story
+    examples: ClassVar[tuple[str, ...]]
     keys: ClassVar[str]  # of the object that --json prints
-    run: ClassVar[str]  # a module of this package, and in it the function that does it
     operands: ClassVar[str] = "FILE [options]"
     group: ClassVar[str] = "general"  # of the options that a class adds, in the help
-    notes: ClassVar[Mapping[str, str]] = {  # on groups
-        "output": "a file of that name is replaced, once the new one is whole"
-    }
 
-    json: bool = False
+    json: Annotated[bool, Parameter(group=_GROUPS["general"])] = False
     """print one JSON object instead of tables"""
-    quiet: Annotated[bool, Parameter(alias="-q")] = False
+    quiet: Annotated[bool, Parameter(alias="-q", group=_GROUPS["general"])] = False
     """show no progress"""
-    debug: bool = False
+    debug: Annotated[bool, Parameter(group=_GROUPS["general"])] = False
     """show the traceback of an error"""
 
-    def __init_subclass__(cls) -> None:
-        cls.name = re.sub("(?<=[a-z])(?=[A-Z])", "-", cls.__name__).lower()
+    def __init_subclass__(cls, group: str = "output") -> None:
+        words = re.sub("(?<=[a-z])(?=[A-Z])", "-", cls.__name__.removesuffix("Options"))
+        cls.name = words.lower()
         cls.usage = f"usage: spectra-kit {cls.name} {cls.operands}"
+        cls.group = group
+        # The class that has an option first tells its group; what is named by its place is input.
+        owners: dict[str, Any] = {
+            name: c for c in cls.__mro__ for name in vars(c).get("__annotations__", ())
+        }
+        for name, kind in (own := vars(cls).get("__annotations__", {})).items():
+            if get_origin(kind) is not ClassVar:
+                named = isinstance(vars(cls).get(name), Field)
+                place = _GROUPS["input" if named else owners[name].group]
+                own[name] = Annotated[kind, Parameter(group=place)]
 
-    @classmethod
-    def load(cls) -> Callable[[Any], None]:
-        """Import what the command needs, and return its function."""
-        module, _, function = cls.run.partition(".")
-        run: Callable[[Any], None]
-        run = getattr(import_module(f"spectra_kit.cli.{module}"), function)
-        return run
+    @property
+    def inputs(self) -> list[Path]:
+        """The files that are read."""
+        given = (getattr(self, name, None) for name in _READ)
+        return [Path(file) for file in given if isinstance(file, str | Path) and file != DEMO]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Read(Command):
+class Read(Command, group="input"):
     """What is done to geometries as they are read."""
-
-    group = "input"
 
     cloud: int | None = None
     """sample N points on the mesh (default: none)"""
@@ -111,47 +111,25 @@ class Read(Command):
     seed: int = 0
     """of everything random"""
 
-    @property
-    def inputs(self) -> list[Path]:
-        """The files that are read."""
-        named = (
-            "file",
-            "source",
-            "target",
-            "spectrum",
-            "landmarks",
-            "initial",
-            "truth",
-            "labeller",
-        )
-        given = (getattr(self, name, None) for name in named)
-        return [Path(file) for file in given if isinstance(file, str | Path) and file != DEMO]
-
 
 @dataclass(frozen=True, kw_only=True)
-class Reading(Read):
+class Reading(Read, group="input"):
     """The same, where there may be a demo."""
-
-    group = "input"
 
     points: int = 8000
     """vertices of the demo, 500 or more"""
 
 
-@dataclass(frozen=True)
-class OneFile(Reading):
+@dataclass(frozen=True, kw_only=True)
+class OneFile(Reading, group="input"):
     """The geometry of a command that takes one."""
 
-    group = "input"
-
-    file: Annotated[File, operand("FILE")]
+    file: GeometryFile = field(kw_only=False)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Operator(Read):
+class Operator(Read, group="operator"):
     """The Laplacian, and what holds at the boundary."""
-
-    group = "operator"
 
     operator: OperatorName | None = None
     """Laplacian (default: robust for meshes, delaunay for clouds)"""
@@ -165,10 +143,8 @@ class OnOne(OneFile, Operator):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Solver(Read):
+class Solver(Read, group="solver"):
     """An eigensolver, how many modes, and what it may be told."""
-
-    group = "solver"
 
     k: Count | None = None
     """number of modes"""
@@ -196,55 +172,50 @@ class Solver(Read):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Verified(Solver):
-    """A solver whose modes may be counted."""
-
-    group = "solver"
-
-    verify: bool = False
-    """count the eigenvalues to prove that no mode was missed (a few factorisations)"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Spared(Solver):
+class Spared(Solver, group="solver"):
     """A solver that is not needed where the modes are saved."""
-
-    group = "solver"
 
     spectrum: Path | None = None
     """take the modes from this file, written by spectra-kit spectrum -o, and solve nothing"""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Predictor(Spared):
+class Predictor(Spared, group="solver"):
     """What predicts, and the truth it is held against."""
-
-    group = "solver"
 
     k: Count = 96
     solver: OptionalName | None = None
     """what predicts (default: neo)"""
-    against: SolverName = "arpack"
+    against: SolverName = "lanczos"
     """what solves for the truth, one of the same"""
     spectrum: Path | None = None
     """take the truth from this file, written by spectra-kit spectrum -o, and solve for none"""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Resolution(Command):
-    """How fine pictures are drawn."""
+class Sides(Command, group="input"):
+    """Which maps between two surfaces are wanted."""
 
-    group = "drawing"
+    sides: Literal["either", "kept", "reversed"] = "either"
+    """whether the map may mirror; either: only if that is clearly better"""
+
+    @property
+    def mirrored(self) -> bool | None:
+        """Whether it mirrors; None where that is open."""
+        return {"either": None, "kept": False, "reversed": True}[self.sides]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Resolution(Command, group="drawing"):
+    """How fine pictures are drawn."""
 
     dpi: int = 200
     """pixels per inch, 600 for print"""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Upright(Command):
+class Upright(Command, group="drawing"):
     """What points up in pictures."""
-
-    group = "drawing"
 
     up: Axis | None = None
     """axis that points up in the picture, or down: --up=-y (default: chosen by the shape)"""
@@ -257,23 +228,16 @@ class Upright(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Turned(Upright):
+class Turned(Upright, group="drawing"):
     """From where pictures are drawn."""
-
-    group = "drawing"
 
     turn: float = 0.0
     """turn it about that axis by X degrees, its front to the right; 180 shows the other side"""
 
 
 @dataclass(frozen=True, kw_only=True)
-class FolderDrawing(Turned, Resolution):
+class FolderDrawing(Turned, Resolution, group="drawing"):
     """From where pictures in a folder are drawn, and how fine."""
-
-    group = "drawing"
-    notes: ClassVar[Mapping[str, str]] = {
-        "output": "the folder is made; files of an earlier run in it are replaced"
-    }
 
     no_pictures: bool = False
     """write numbers only"""
@@ -281,11 +245,10 @@ class FolderDrawing(Turned, Resolution):
 
 def refuse_given(asked: Command, names: Sequence[str], why: str) -> None:
     """Refuse options that change nothing as things are: who gives one expects something of it."""
-    for field in fields(asked):
-        if field.name in names and getattr(asked, field.name) != field.default:
-            raise InvalidInputError(
-                f"--{field.name.replace('_', '-')} has no effect {why}, or leave it out"
-            )
+    for one in fields(asked):
+        if one.name in names and getattr(asked, one.name) != one.default:
+            option = one.name.replace("_", "-")
+            raise InvalidInputError(f"--{option} has no effect {why}, or leave it out")
 
 
 def refuse_unused(asked: Command) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from spectra_kit._core.files import is_special, naming, replace, temporary_folder, undivided
-from spectra_kit._core.records import printable
+from spectra_kit._core.shown import printable
 from spectra_kit.cli.options import Command
 from spectra_kit.cli.progress import STDOUT, say, step
 from spectra_kit.errors import InvalidInputError

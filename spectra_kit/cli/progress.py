@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from typing import Any
 
-from spectra_kit._core.records import printable
+from spectra_kit._core.shown import printable
 from spectra_kit.cli.words import told
 
 _TICK = 0.1  # seconds

@@ -1,30 +1,62 @@
 """What the commands of many shapes share: their part of the work, who does it, what came of it."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from spectra_kit._core.records import printable
+from cyclopts import Parameter
+
+from spectra_kit._core.shown import printable
 from spectra_kit._core.validate import quantity
-from spectra_kit.cli import program
-from spectra_kit.cli.options import refuse_given
+from spectra_kit.cli.options import Command, refuse_given
 from spectra_kit.cli.output import tell
 from spectra_kit.cli.progress import counted, say
 from spectra_kit.cli.words import told
-from spectra_kit.datasets import BatchReport, DaskEngine, Engine, shard
+from spectra_kit.datasets import BatchReport, DaskEngine, Engine, SpectrumStore, shard, write_table
+from spectra_kit.datasets.files import MARK
 from spectra_kit.datasets.inputs import Named
-from spectra_kit.datasets.spared import Spared
+from spectra_kit.datasets.run import Spared
 from spectra_kit.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from spectra_kit.cli.batch import BatchOptions
+    from spectra_kit.cli.match_all import MatchAllOptions
 
 _NAMED = 3  # names that a line tells
 
 
-def part_of(asked: program.Workers, inputs: Sequence[Named]) -> Sequence[Named]:
+@dataclass(frozen=True, kw_only=True)
+class Workers(Command, group="workers"):
+    """Who works on many shapes, or on many pairs of them."""
+
+    nworkers: int | None = None
+    """processes on this machine, 0 for none but this one (default: one for each core that may
+    be used, once that is worth their start)"""
+    nthreads: int = 1
+    """shapes or pairs that each works on at a time"""
+    memory_limit: Annotated[str, Parameter(metavar="SIZE")] = "auto"
+    """of each process, such as 3GB"""
+    scheduler: str | None = None
+    """address of a Dask scheduler of a cluster, as $DASK_ADDRESS is (default: none, workers on this
+    machine)"""
+    scheduler_file: Path | None = None
+    """file in which a scheduler has written its address (default: none)"""
+    shard: Annotated[str | None, Parameter(metavar="I/N")] = None
+    """compute the I-th of N parts alone, as the tasks of a job array do (default: all)"""
+
+
+def opened(folder: Path) -> SpectrumStore:
+    """Return the store in a folder; unlike `SpectrumStore`, make none."""
+    if not (folder / MARK).is_file():
+        raise InvalidInputError(f"{str(folder)!r} is no store", advice="name one")
+    return SpectrumStore(folder)
+
+
+def part_of(asked: Workers, inputs: Sequence[Named]) -> Sequence[Named]:
     """Return the part that `--shard` asks for."""
     if asked.shard is None:
         return inputs
@@ -34,7 +66,7 @@ def part_of(asked: program.Workers, inputs: Sequence[Named]) -> Sequence[Named]:
     return shard(inputs, int(part), int(parts))
 
 
-def engine_of(asked: program.Workers, noun: str, missing: Callable[[], int]) -> Engine | None:
+def engine_of(asked: Workers, noun: str, missing: Callable[[], int]) -> Engine | None:
     """Return who works: workers, unless this process alone is asked for or is enough.
 
     It is enough if nothing is `missing`, which is counted only where it matters.
@@ -84,43 +116,42 @@ def running(text: str, noun: str) -> Iterator[Callable[[int, int], None]]:
 
 
 def tell_run(
-    asked: program.Workers,
+    asked: "BatchOptions | MatchAllOptions",
     report: BatchReport[Any, Any],
-    *,
-    noun: str,
-    key: str,
-    count: int,
     store: Path,
-    csv: Path | None,
     more: Mapping[str, int | Sequence[str | Sequence[str]] | None] | None = None,
-    renewed: list[str] | None = None,
 ) -> None:
-    """Say what came of a run; failures last, where they are seen. `more` is told of results.
+    """Write the table, and say what came of a run; failures last, where they are seen.
 
-    Names that are `renewed` stood for other bytes before.
+    `more` is told of results.
     """
+    if asked.csv:
+        write_table(asked.csv, report)
     for text in report.replaced:
         say(f"warning: {text}")
+    renewed = [one.name for one, done in report.completed if done.renewed]
     if renewed:
         rest = f" and {len(renewed) - _NAMED:,} more" if len(renewed) > _NAMED else ""
         say(
             f"warning: {quantity(len(renewed), 'name')} stood for other files before, or for other"
             f" bytes, and now for these: {', '.join(renewed[:_NAMED])}{rest}"
         )
-    things = [(one[0].name, one[1]) for one in report.failed]
-    failed = [{"name": name, "reason": told(error)} for name, error in things]
-    computed, known = report.computed, count - len(failed) - report.computed
+    failed = [{"name": one.name, "reason": told(error)} for one, error in report.failed]
+    count = len(report.completed) + len(failed)
+    computed, known = report.computed, len(report.completed) - report.computed
+    of_shapes = report.of == "shapes"
+    noun = "shape" if of_shapes else "pair"
     record = {
-        key: count,
+        "inputs" if of_shapes else "pairs": count,
         "computed": computed,
         "known": known,
         "failed": failed,
         **(more or {}),
         "replaced": list(report.replaced),
-        **({} if renewed is None else {"renewed": renewed}),
+        **({"renewed": renewed} if of_shapes else {}),
         "seconds": round(report.seconds, 3),
         "store": store,
-        "csv": csv,
+        "csv": asked.csv,
     }
     rate = f", {computed / report.seconds:.3g} a second" if computed else ""
     lines = [
@@ -132,7 +163,7 @@ def tell_run(
             if value is not None
         ),
         f"store: {store}",
-        *([f"table: {csv}"] if csv else []),
+        *([f"table: {asked.csv}"] if asked.csv else []),
     ]
     tell(asked, record, "\n".join(lines))
     for one in failed:

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.records import draw
+from spectra_kit._core.records import Rebuilt, frozen
+from spectra_kit._core.shown import draw
 from spectra_kit._core.types import Floats
-from spectra_kit._core.validate import Rebuilt, frozen
 from spectra_kit._sparse.solution import LinearSolution
 from spectra_kit.geodesics.heat_step import Heat
 from spectra_kit.geodesics.solvers import Direct, Exact, Iterative
@@ -88,7 +88,8 @@ class DistanceField(Rebuilt):
     def plot(self, geometry: Geometry, path: str | os.PathLike[str] | None = None) -> Any:
         """Draw it on its geometry, sources at points marked; see `show.plot_distance`."""
         at = self.sources.vertices[self.sources.offsets == 0]
-        return draw("plot_distance", path, geometry, self.distance, sources=geometry.points[at])
+        sources = geometry.points[at]
+        return draw("plot_distance", geometry, self.distance, sources=sources, path=path)
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
         """Return `distance`."""

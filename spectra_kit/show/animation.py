@@ -21,10 +21,10 @@ from spectra_kit.operators.oriented import oriented_triangles
 from spectra_kit.show.camera import View
 from spectra_kit.show.colours import diverging_colours
 from spectra_kit.show.contours import level_lines, triangles_of
+from spectra_kit.show.fields import symmetric_limit
+from spectra_kit.show.layout import Page, new_figure
 from spectra_kit.show.modes import check_modes, display_signs
-from spectra_kit.show.page import Page, new_figure
-from spectra_kit.show.panels import symmetric_limit
-from spectra_kit.show.picture import written
+from spectra_kit.show.picture import PathLike, written
 from spectra_kit.show.render import Scene, render
 
 _MOST_FRAMES = 20_000  # some quarter of an hour, and gigabytes while they are drawn
@@ -55,6 +55,7 @@ def animate_modes(
     geometry: Geometry,
     spectrum: Spectrum,
     *,
+    path: PathLike | None = None,
     view: View = View(),
     modes: Sequence[int] | None = None,
     amplitude: float = 0.01,
@@ -68,11 +69,11 @@ def animate_modes(
 
     Parameters
     ----------
-    $path
     geometry : TriangleMesh or PointCloud
         The points that the spectrum lives on.
     spectrum : Spectrum
         Its k modes.
+    $path
     $view
     modes : sequence of int, optional
         Which ones, counted from 0; by default the first six that are not constant.

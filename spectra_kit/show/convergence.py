@@ -12,10 +12,8 @@ from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import Brief, check_positive, frozen, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.show.axes import LINE_COLOURS, line_style, tidy
-from spectra_kit.show.page import Page, new_figure
-from spectra_kit.show.pen import short
-from spectra_kit.show.picture import plotted
+from spectra_kit.show.layout import LINE_COLOURS, Page, line_style, new_figure, short, tidy
+from spectra_kit.show.picture import PathLike, plotted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -97,6 +95,7 @@ class SolverRun(Brief):
 def plot_convergence(
     runs: Sequence[SolverRun],
     *,
+    path: PathLike | None = None,
     page: Page = Page(),
     rtol: float = 1e-8,
     solve_name: str = "solve",
@@ -105,9 +104,9 @@ def plot_convergence(
 
     Parameters
     ----------
-    $path
     runs : sequence of SolverRun
         At least one.
+    $path
     $page
     rtol : float, default 1e-8
         The relative residual at which the solvers stop, a line across.

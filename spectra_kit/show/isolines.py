@@ -14,11 +14,9 @@ from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.show.camera import View, fitting_size
 from spectra_kit.show.colours import distance_colours, largest
 from spectra_kit.show.contours import distance_levels, level_lines, triangles_of
-from spectra_kit.show.page import MARGIN, Page
-from spectra_kit.show.pen import Pen
-from spectra_kit.show.picture import plotted
+from spectra_kit.show.layout import MARGIN, Canvas, Cell, Page, set_table
+from spectra_kit.show.picture import PathLike, plotted
 from spectra_kit.show.render import Scene, render, with_balls
-from spectra_kit.show.table import Cell, set_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,6 +35,7 @@ def plot_distance(
     geometry: Geometry,
     distance: ArrayLike,
     *,
+    path: PathLike | None = None,
     view: View = View(),
     page: Page = Page(),
     sources: ArrayLike | None = None,
@@ -47,10 +46,10 @@ def plot_distance(
 
     Parameters
     ----------
-    $path
     $geometry
     distance : array_like of shape (n,)
         In the unit of length, >= 0; infinity is drawn in grey.
+    $path
     $view
     $page
     sources : array_like of shape (s, 3), optional
@@ -108,7 +107,7 @@ def plot_distance(
     caption = f"{label}, a line every {levels[0]:.4g}" if len(levels) else label
     caption += " · grey: not reached" * bool(np.isinf(values).any())
     caption += " · black balls: the sources" * bool(len(marks))
-    _set_scale(Pen(figure), largest(values), levels, caption)
+    _set_scale(Canvas(figure), largest(values), levels, caption)
     return figure
 
 
@@ -137,17 +136,17 @@ def _check_distance(distance: ArrayLike, n: int) -> Floats:
     return values
 
 
-def _set_scale(pen: Pen, limit: float, levels: Floats, caption: str) -> None:
+def _set_scale(canvas: Canvas, limit: float, levels: Floats, caption: str) -> None:
     """Draw the colours from zero to the limit, numbers at the thick lines, and what they are."""
-    length = 0.55 * (pen.width - 2 * MARGIN)
-    left, top = (pen.width - length) / 2, pen.height - MARGIN - _FOOT + 0.25
-    strip: Bytes = distance_colours(np.linspace(0.0, limit, round(length * pen.dpi)))
-    pen.picture(np.tile(strip, (round(_THICKNESS * pen.dpi), 1, 1)), left, top)
+    length = 0.55 * (canvas.width - 2 * MARGIN)
+    left, top = (canvas.width - length) / 2, canvas.height - MARGIN - _FOOT + 0.25
+    strip: Bytes = distance_colours(np.linspace(0.0, limit, round(length * canvas.dpi)))
+    canvas.picture(np.tile(strip, (round(_THICKNESS * canvas.dpi), 1, 1)), left, top)
     below = top + _THICKNESS
     for i, level in enumerate([0.0, *levels]):
         at = left + length * level / limit
         if i:
-            pen.line(at, top, below, _THIN if i % EVERY else _THICK)
+            canvas.line(at, top, below, _THIN if i % EVERY else _THICK)
         if not i % EVERY:
-            pen.text(f"{level:.4g}", at - 0.4, below + 0.14, 0.8, 8, centred=True)
-    pen.text(caption, left, below + 0.32, length, 8, centred=True, colour="0.4")
+            canvas.text(f"{level:.4g}", at - 0.4, below + 0.14, 0.8, 8, centred=True)
+    canvas.text(caption, left, below + 0.32, length, 8, centred=True, colour="0.4")

@@ -14,11 +14,9 @@ from spectra_kit.eigen.metrics import Comparison, align_modes
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.show.camera import View
-from spectra_kit.show.gallery import draw_gallery, draw_table
-from spectra_kit.show.page import Page
-from spectra_kit.show.panels import Panel, symmetric_limit
-from spectra_kit.show.pen import short
-from spectra_kit.show.picture import plotted
+from spectra_kit.show.fields import Panel, draw_gallery, draw_table, symmetric_limit
+from spectra_kit.show.layout import Page, short
+from spectra_kit.show.picture import PathLike, plotted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,6 +31,7 @@ def plot_modes(
     geometry: Geometry,
     spectrum: Spectrum,
     *,
+    path: PathLike | None = None,
     view: View = View(),
     page: Page = Page(),
     modes: Sequence[int] | None = None,
@@ -43,11 +42,11 @@ def plot_modes(
 
     Parameters
     ----------
-    $path
     geometry : TriangleMesh or PointCloud
         The points that the spectrum lives on. A cloud is drawn as balls that overlap a little.
     spectrum : Spectrum
         Eigenvalues are in 1/length^2, as printed.
+    $path
     $view
     $page
     modes : sequence of int, optional
@@ -86,6 +85,7 @@ def plot_comparison(
     predicted: Spectrum,
     comparison: Comparison,
     *,
+    path: PathLike | None = None,
     view: View = View(),
     page: Page = Page(),
     modes: Sequence[int],
@@ -96,13 +96,13 @@ def plot_comparison(
 
     Parameters
     ----------
-    $path
     geometry : TriangleMesh or PointCloud
         The points that both spectra live on.
     exact, predicted : Spectrum
         As given to `compare_spectra`.
     comparison : Comparison
         What it returned.
+    $path
     $view
     $page
     modes : sequence of int

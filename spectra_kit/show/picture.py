@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar, cast, overload
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.files import atomic_path, check_target, temporary_folder
@@ -42,9 +42,8 @@ Drawn = TypeVar("Drawn")
 class Picture:
     """A picture that was drawn. A notebook shows it where it is the last line of a cell.
 
-    Every plot takes a path as its first argument, and writes that file, whole or not at all:
-    ``.png``, ``.pdf`` or ``.svg``, of animations ``.gif`` or ``.mp4``. Without one the picture is
-    kept here: ``plot_modes(mesh, spectrum)``.
+    Every plot takes a `path` by that name, and writes that file, whole or not at all: ``.png``,
+    ``.pdf`` or ``.svg``, of animations ``.gif`` or ``.mp4``. Without one the picture is kept here.
 
     Attributes
     ----------
@@ -78,38 +77,21 @@ class Picture:
         }
 
 
-class Plot(Protocol[Options]):
-    """A plot: with a path before its own arguments, or without."""
-
-    @overload
-    def __call__(
-        self, path: PathLike | None, /, *args: Options.args, **options: Options.kwargs
-    ) -> Picture: ...
-    @overload
-    def __call__(self, *args: Options.args, **options: Options.kwargs) -> Picture: ...
-
-
 def written(
     write: Callable[[Drawn, Path], None], *suffixes: str
-) -> Callable[[Callable[Options, Drawn]], Plot[Options]]:
-    """Decorate what draws something: it then is `checked`, takes a path, and returns a `Picture`.
+) -> Callable[[Callable[Options, Drawn]], Callable[Options, Picture]]:
+    """Decorate what draws something: it then is `checked`, and returns a `Picture`.
 
-    The path is refused before the drawing if `write` could not write there. The first of the
-    `suffixes` is what a picture without a path is made of.
+    That is written to the `path` among its options, which is refused before the drawing if `write`
+    could not write there. The first of the `suffixes` is what a picture without a path is made of.
     """
 
-    def decorate(draw: Callable[Options, Drawn]) -> Plot[Options]:
+    def decorate(draw: Callable[Options, Drawn]) -> Callable[Options, Picture]:
         draw = checked(draw)
-        own, kind = inspect.signature(draw), inspect.Parameter.POSITIONAL_OR_KEYWORD
-        needed = [p.name for p in own.parameters.values() if p.kind is kind]
 
         @wraps(draw)
-        def plot(*args: Any, **options: Any) -> Picture:
-            path = options.pop("path", None)
-            given = len(args) + sum(name in options for name in needed)
-            # A geometry may be a path, too.
-            if args and (given > len(needed) or _ends_in(args[0], suffixes)):
-                path, *args = args  # type: ignore[assignment]
+        def plot(*args: Options.args, **options: Options.kwargs) -> Picture:
+            path: Any = options.get("path")
             _check_path(path, suffixes)
             import_matplotlib()
             drawn = draw(*args, **options)
@@ -121,13 +103,10 @@ def written(
                 write(drawn, part := folder / f"picture{suffixes[0]}")
                 return Picture(content=part.read_bytes())
 
-        path = inspect.Parameter("path", kind, annotation="str | os.PathLike[str] | None")
-        plot.__signature__ = own.replace(  # type: ignore[attr-defined]
-            parameters=[path, *own.parameters.values()], return_annotation="Picture"
-        )
+        plot.__annotations__ = draw.__annotations__ | {"return": "Picture"}
         own_words = Template(inspect.cleandoc(draw.__doc__ or ""))
         plot.__doc__ = own_words.safe_substitute(_SHARED) + "\n"
-        return cast(Plot[Options], plot)
+        return plot
 
     return decorate
 

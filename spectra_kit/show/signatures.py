@@ -13,14 +13,22 @@ from spectra_kit._core.types import Bytes, Floats, Ints
 from spectra_kit._core.validate import check_indices, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
-from spectra_kit.show.axes import LINE_COLOURS, line_style, log_ticks, tidy
 from spectra_kit.show.camera import View, fitting_size
-from spectra_kit.show.page import MARGIN, Page
-from spectra_kit.show.panels import Panel, sequential_limits
-from spectra_kit.show.pen import Pen, short
-from spectra_kit.show.picture import plotted
+from spectra_kit.show.fields import Panel, sequential_limits
+from spectra_kit.show.layout import (
+    LINE_COLOURS,
+    MARGIN,
+    Canvas,
+    Cell,
+    Page,
+    line_style,
+    log_ticks,
+    set_table,
+    short,
+    tidy,
+)
+from spectra_kit.show.picture import PathLike, plotted
 from spectra_kit.show.render import Scene, ball_diameter, render, with_balls
-from spectra_kit.show.table import Cell, set_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,6 +51,7 @@ def plot_signatures(
     signature: ArrayLike,
     scales: ArrayLike,
     *,
+    path: PathLike | None = None,
     view: View = View(),
     page: Page = Page(),
     points: ArrayLike,
@@ -53,7 +62,6 @@ def plot_signatures(
 
     Parameters
     ----------
-    $path
     geometry : TriangleMesh or PointCloud
         With n points.
     signature : array_like of shape (n, t)
@@ -61,6 +69,7 @@ def plot_signatures(
         `wave_kernel_signature`.
     scales : array_like of shape (t,)
         Ascending, two or more: times in length^2, or energies (logarithms of eigenvalues).
+    $path
     $view
     $page
     points : array_like of shape (p,)
@@ -119,9 +128,9 @@ def plot_signatures(
         left=_SIDE + _CURVES + _GAP,
         tall=_HEIGHT,
     )
-    pen, below = Pen(figure), MARGIN + _FOOT
+    canvas, below = Canvas(figure), MARGIN + _FOOT
     box = (MARGIN + _SIDE, below, _CURVES, figure.get_figheight() - page.head - below - _HEAD)
-    axes = figure.add_axes(tuple(np.array(box) / ([pen.width, pen.height] * 2)))
+    axes = figure.add_axes(tuple(np.array(box) / ([canvas.width, canvas.height] * 2)))
     named = {
         f"point {i}" + ("" if there else " (hidden)"): i
         for i, there in zip(chosen, seen, strict=True)

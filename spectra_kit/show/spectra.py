@@ -12,10 +12,8 @@ from spectra_kit._core.types import Floats
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.show.axes import line_style, log_ticks, tidy
-from spectra_kit.show.page import Page, new_diagram
-from spectra_kit.show.pen import short
-from spectra_kit.show.picture import plotted
+from spectra_kit.show.layout import Page, line_style, log_ticks, new_diagram, short, tidy
+from spectra_kit.show.picture import PathLike, plotted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,6 +33,7 @@ _MANY = 120  # modes: more than so many get smaller markers
 def plot_spectrum(
     spectra: Spectrum | Mapping[str, Spectrum],
     *,
+    path: PathLike | None = None,
     page: Page = Page(),
     weyl: bool = True,
     free_boundary: float = 0.0,
@@ -43,9 +42,9 @@ def plot_spectrum(
 
     Parameters
     ----------
-    $path
     spectra : Spectrum or mapping of str to Spectrum
         One, or several under their names. The others are compared with the first.
+    $path
     $page
     weyl : bool, default True
         Draw the line of Weyl's law.

@@ -1,6 +1,6 @@
 """The process that draws: reads requests, answers with pictures, and may crash alone.
 
-Run by path from `spectra_kit.show.drawer`, never imported. VTK ends the whole process where it
+Run by path from `spectra_kit.show.render`, never imported. VTK ends the whole process where it
 finds no OpenGL, and talks to stderr about every driver it tries; in a process of its own both are
 contained. It needs NumPy and PyVista only. On stdin come lists of requests, pickled; on stdout goes
 each picture, and after the last of a list None, or the error that came instead.

@@ -97,8 +97,8 @@ def test_a_span_is_that_of_functions_that_were_used():
     """Smoothed modes are in no span but their own."""
     waves = AmbientFourier(m=64)
     assert ritz_subspace(RayleighRitz(subspace=waves)) is waves
-    assert ritz_subspace(Neo(smoothing=0)) == Neo().subspace
-    for solver in (Cascade(subspace=waves), Neo(), Neo(smoothing=0, cap=2000)):
+    assert ritz_subspace(Neo(max_steps=0)) == Neo().subspace
+    for solver in (Cascade(subspace=waves), Neo(), Neo(max_steps=0, coarsest=2000)):
         assert ritz_subspace(solver) is None
 
 
@@ -226,20 +226,20 @@ def test_options_reach_the_solvers_that_take_them():
         "device": "cpu:0",
         "poses": "2",
     }
-    seeded = parse(["spectrum", "a", "--seed", "7"])
+    seeded = parse(["spectrum", "a", "--seed", "7"])[0]
     assert "seed=7" in repr(solving.make_solver("refined", seeded, 4))
     assert "seed=7" in repr(solving.make_solver("fourier", seeded, 4))
     shown = ("accuracy=0.25", "rtol=0.0001", "RandomBasis(", "device='cpu:0'", "poses=2")
     for solver in SOLVERS:
         for (option, value), text in zip(values.items(), shown, strict=True):
-            asked = parse(["spectrum", "a", "--solver", solver, f"--{option}", value])
+            asked = parse(["spectrum", "a", "--solver", solver, f"--{option}", value])[0]
             if solver in takers[option]:
                 solving.check_solvers(asked, solver)
                 assert text in repr(solving.make_solver(solver, asked, 4))
             else:
                 with pytest.raises(InvalidInputError, match=f"--{option}` must go with"):
                     solving.check_solvers(asked, solver)
-    asked = parse(["compare", "a", "--solver", "refined", "--start", "neo", "--poses", "4"])
+    asked = parse(["compare", "a", "--solver", "refined", "--start", "neo", "--poses", "4"])[0]
     solving.check_solvers(asked, "arpack", "refined")  # one of the two takes it
     assert solving.make_solver("refined", asked, 4).start == solving.Neo(poses=4).subspace
 

@@ -36,7 +36,7 @@ def test_every_shell_gets_a_script_that_it_can_read(shell, begin, capsys, tmp_pa
     script.write_text(printed(capsys, "completion", shell)[0])
     text = script.read_text()
     assert text.startswith(begin)
-    assert all(command.name in text for command in COMMANDS)
+    assert all(name in text for name in COMMANDS)
     if not (program := shutil.which(shell)):
         pytest.skip(f"there is no {shell} on this machine")
     subprocess.run([program, "-n"], input=text, text=True, check=True)
@@ -54,4 +54,4 @@ def test_every_shell_gets_a_script_that_it_can_read(shell, begin, capsys, tmp_pa
         ("completion z", {"zsh"}),
     ):
         assert set(completed(script, tmp_path, f"spectra-kit {line}")) == offered
-    assert set(completed(script, tmp_path, "spectra-kit ")) >= {c.name for c in COMMANDS}
+    assert set(completed(script, tmp_path, "spectra-kit ")) >= {*COMMANDS}

@@ -22,7 +22,7 @@ from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, write
 
 OTHERS = ("batch", "match-all", "store", "completion")  # of many files, of a folder, of none
-NAMES = [command.name for command in COMMANDS if command.name not in OTHERS]
+NAMES = [name for name in COMMANDS if name not in OTHERS]
 
 
 @pytest.fixture(scope="module")

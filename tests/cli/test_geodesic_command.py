@@ -10,7 +10,7 @@ from conftest import creature
 from running import printed, record, refusal, write_shapes
 
 from spectra_kit.cli import geodesic, main
-from spectra_kit.cli.geodesic_setup import linear_solver, why_without_modes
+from spectra_kit.cli.geodesic import linear_solver, why_without_modes
 from spectra_kit.cli.program import parse
 from spectra_kit.eigen import eigensolve
 from spectra_kit.geodesics import (
@@ -218,13 +218,13 @@ def test_modes_that_auto_does_not_need_are_not_computed(files, tmp_path, capsys)
 
 def test_modes_reach_the_solver_that_auto_chooses():
     command = ["geodesic", "demo", "--poisson-rtol", "1e-6"]
-    asked = parse([*command, "--solver", "arpack"])
+    asked = parse([*command, "--solver", "arpack"])[0]
     solver = linear_solver(asked, 96)
     assert solver.choose(100_000_000)[0] == Iterative(modes=96, rtol=1e-6)
     assert why_without_modes(asked, solver, 100_000_000) == ""
     reason = why_without_modes(asked, solver, 100_000)
     assert reason.endswith("factors of 100000 points fit into 4 GiB")
-    assert why_without_modes(parse(command), solver, 100) == ""
+    assert why_without_modes(parse(command)[0], solver, 100) == ""
 
 
 def test_options_reach_the_method(files, tmp_path, capsys):

@@ -28,18 +28,18 @@ def run(code: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_nothing_is_imported_before_it_is_asked_for() -> None:
-    """Neither by the package and its catalogue, nor by reading the command line, nor by arrays."""
+    """Neither by the package and its catalogue, nor by the help of the command, nor by arrays."""
     done = run(
         "import sys, spectra_kit as sk\n"
         "def there(*names): print(*({m.split('.')[0] for m in sys.modules} & {*names}))\n"
-        "from spectra_kit import catalogue; from spectra_kit.cli.program import COMMANDS, parse\n"
-        "from spectra_kit.cli.help import help_text; parse(['info', 'demo'])\n"
-        "text = [help_text(command) for command in COMMANDS]\n"
+        "from spectra_kit import catalogue; from spectra_kit.cli.program import help_text\n"
+        "text = help_text('--help')\n"
         "there('numpy', 'scipy', 'torch', 'numba', 'rich')\n"
         "sk.as_geometry([[0, 0, 0]])\n"
         "print(sk.show.plot_modes.__name__, sk.interop.__name__, sk.eigen.metrics.__name__)\n"
         "there('torch', 'pyvista', 'vtk', 'vtkmodules', 'matplotlib', 'trimesh')\n"
-        "print(all(callable(command.load()) for command in COMMANDS))"
+        "from spectra_kit.cli.program import COMMANDS, load\n"
+        "print(all(callable(function) for _, function in map(load, COMMANDS)))"
     )
     names = "plot_modes spectra_kit.interop spectra_kit.eigen.metrics"
     assert done.stdout.split("\n")[:4] == ["", names, "", "True"], done.stderr
@@ -47,7 +47,7 @@ def test_nothing_is_imported_before_it_is_asked_for() -> None:
 
 def test_a_run_over_shapes_does_not_wait_for_what_matches_them() -> None:
     done = run(
-        "import sys; from spectra_kit.cli.program import NAMED; NAMED['batch'].load()\n"
+        "import sys; from spectra_kit.cli.program import load; load('batch')\n"
         "print('spectra_kit.datasets.run' in sys.modules, 'spectra_kit.maps' in sys.modules)"
     )
     assert done.stdout == "True False\n", done.stderr

@@ -36,13 +36,12 @@ from spectra_kit import (
     interop,
     learn,
     maps,
-    metrics,
     neo,
     operators,
     show,
-    subspaces,
 )
 from spectra_kit._core.checked import _LATE
+from spectra_kit.eigen import metrics, subspaces
 from spectra_kit.errors import InvalidInputError, SpectraKitError
 
 # Their arrays are checked by whom they serve; the command line has its own tests.
@@ -150,7 +149,6 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     map_errors = maps.MapErrors(np.ones(n), same)
     given = subspaces.GivenBasis(spectrum.eigenvectors)
     pair = show.MatchedPair(source=mesh, target=mesh, point_map=same)
-    point = show.ParetoPoint(name="a", group="b", seconds=1.0, error=0.1)
     run = show.SolverRun(name="a", stages={"factor": 1.0}, times=[0.1], residuals=[1e-9])
     recipe = learn.Recipe(embeddings=(features.ShapeDNA(count=4),), k=8)
     points = learn.Recipe(embeddings=(features.HeatSignature(count=3),), k=8)
@@ -174,14 +172,12 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     dataset = learn.StoreDataset(spectra)
     datasets.complete(spectra, "copy.obj", folder / "mesh.obj", plan)
     pair_of_names = datasets.Pair(source="mesh.obj", target="copy.obj")
-    made = datasets.Matched(
+    of_map = datasets.MapRecord(
         **{"key": "0" * 32, "score": 0.1, "margin": 2.0, "mirror_margin": 2.0, "coverage": 1.5},
         **{"orientation": 1.0, "confidence": 0.9, "mirrored": False},
-        **{"ambiguous": False, "convincing": True},
-        **{"doubts": (), "computed": True, "replaced": (), "seconds": 0.1},
+        **{"ambiguous": False, "convincing": True, "doubts": ()},
     )
-    of_pairs = datasets.BatchReport(completed=((pair_of_names, made),), failed=(), seconds=0.1)
-    portrait = show.Portrait(geometry=mesh, labels=halves, lines=("x",))
+    thumbnail = show.Thumbnail(geometry=mesh, labels=halves, lines=("x",))
     quick = maps.MatchOptions(
         **{"orders": 1, "growing": 8, "turns": 1, "finalists": 1, "rounds": 1},
     )
@@ -209,10 +205,10 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
             datasets.DaskEngine(scheduler="tcp://127.0.0.1:8786"),
             pair_of_names,
             datasets.Matching(),
-            made,
+            of_map,
         ),
-        *(dataset, recipe, classifier, segmenter, index, portrait, learn.Training(epochs=1)),
-        *(show.View(), sk.RayleighRitz(), geodesics.Automatic(), given, map_errors),
+        *(dataset, recipe, classifier, segmenter, index, thumbnail, learn.Training(epochs=1)),
+        *(show.View(), sk.RayleighRitz(), geodesics.WithinMemory(), given, map_errors),
         *(metrics.compare_spectra(spectrum, spectrum), geometry.repair(mesh)),
         *(sk.ModeCount(verified=3, radius=0.1, floor=2.0), maps.Truth(same, same)),
         *(geometry.sample_with_origin(mesh, 50, seed=0), geometry.Normalization.unit_box(mesh)),
@@ -283,7 +279,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("items", [dataset[0]]),
         ("item", dataset[0]),
         ("load", geometry.read),
-        ("portraits", [portrait]),
+        ("thumbnails", [thumbnail]),
         # Distances and maps.
         ("distance", field.distance),
         ("DistanceField.sources", field.sources),
@@ -320,7 +316,6 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("arrays", {"point_map": same}),
         ("Pair.source Pair.target", "mesh.obj"),
         ("load_match.key SpectrumStore.load_map.key SpectrumStore.has_map.key", "0" * 32),
-        ("write_match_table.report", of_pairs),
         ("complete.file", "mesh.obj"),
         ("SpectrumStore.descriptor.name SpectrumStore.descriptor_key.name", "dna"),
         ("SpectrumStore.entries.kind", "shapes"),
@@ -338,7 +333,6 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("plot_error_curves.errors", {"a": np.ones(4)}),
         ("fields", {"x": mesh.points[:, 0]}),
         ("pairs", [pair]),
-        ("pareto_front.points plot_pareto.points", [point]),
         ("plot_panels.rows", [[panel]]),
         ("columns_named rows_named", ["a"]),
         ("runs", [run]),
@@ -442,18 +436,16 @@ ALSO = {
     "Collection.groups": {"array"},
     "Collection.mirrored": {"array"},
     "Collection.pairs": {"array"},
-    "pareto_front.points": {"array"},
     "write_explorer.names": {"array of U"},
     "Panel.lines": {"array"},
-    "Portrait.lines": {"array"},
+    "Thumbnail.lines": {"array"},
     "ShapeIndex.names": {"array"},
     "ShapeIndex.digests": {"array"},
     "Problem.remedies": {"array"},
     "BatchReport.completed": {"array"},
     "BatchReport.failed": {"array"},
     "match_all.pairs": {"array"},
-    "Matched.doubts": {"array of U"},
-    "Matched.replaced": {"array of U"},
+    "MapRecord.doubts": {"array of U"},
     "inputs": {"array"},
     "Completed.replaced": {"array of U"},
     "Plan.solver": {"Arpack"},

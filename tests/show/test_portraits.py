@@ -1,20 +1,20 @@
-"""Portraits: classes keep their colours, and what cannot be drawn is refused."""
+"""Thumbnails: classes keep their colours, and what cannot be drawn is refused."""
 
 import numpy as np
 import pytest
 
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere
-from spectra_kit.show import Portrait, plot_portraits
+from spectra_kit.show import Thumbnail, plot_thumbnails
 from spectra_kit.show.camera import View
-from spectra_kit.show.portraits import _palette, _scene
+from spectra_kit.show.thumbnails import _palette, _scene
 
 BALL = sphere(subdivisions=2).geometry
 
 
 def test_every_vertex_has_the_colour_of_its_class_and_triangles_change_halfway():
     labels = (BALL.points[:, 2] > 0).astype(int) * 2
-    scene = _scene(Portrait(geometry=BALL, labels=labels), View(), 30)
+    scene = _scene(Thumbnail(geometry=BALL, labels=labels), View(), 30)
     (colours,) = scene.functions
     palette = _palette(3)
     np.testing.assert_array_equal(colours[: BALL.n], palette[labels])
@@ -31,7 +31,7 @@ def test_first_colours_are_apart():
 
 
 def test_many_classes_take_no_more_room_than_there_are_and_later_ones_are_paler():
-    _scene(Portrait(geometry=BALL, labels=np.full(162, 60_000)), View(), 30)
+    _scene(Thumbnail(geometry=BALL, labels=np.full(162, 60_000)), View(), 30)
     colours = _palette(24).astype(int)
     assert len({tuple(c) for c in colours}) == 24
 
@@ -46,9 +46,9 @@ def test_many_classes_take_no_more_room_than_there_are_and_later_ones_are_paler(
 )
 def test_labels_that_are_none(labels, message):
     with pytest.raises(InvalidInputError, match=message):
-        Portrait(geometry=BALL, labels=labels)
+        Thumbnail(geometry=BALL, labels=labels)
 
 
 def test_there_must_be_one():
-    with pytest.raises(InvalidInputError, match="`portraits` must hold at least one"):
-        plot_portraits([])
+    with pytest.raises(InvalidInputError, match="`thumbnails` must hold at least one"):
+        plot_thumbnails([])

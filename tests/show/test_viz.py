@@ -19,8 +19,8 @@ from spectra_kit.eigen.metrics import compare_spectra
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
 from spectra_kit.geometry import PointCloud, TriangleMesh, creature, rectangle, sphere, write
 from spectra_kit.maps import MapErrors
-from spectra_kit.show import Page, Panel, View, drawer
-from spectra_kit.show.pen import short
+from spectra_kit.show import Page, Panel, View, render
+from spectra_kit.show.layout import short
 from spectra_kit.show.render import ball_diameter
 
 SHEET = rectangle(n=200).geometry.points
@@ -33,7 +33,6 @@ SIGNATURE = np.ones((BALL.n, 8))
 RUN = show.SolverRun(name="CG", stages={}, times=[0, 1], residuals=[1.0, 0.1])
 several = partial(show.plot_spectrum, spectra={"a": SPECTRUM, "b": SPECTRUM.rescale(2)})
 EMPTY = SPECTRUM.truncate(1).nonzero()
-POINT = show.ParetoPoint(name="a", group="", seconds=1.0, error=0.1)
 
 
 modes = partial(show.plot_modes, geometry=BALL, spectrum=SPECTRUM)
@@ -57,7 +56,6 @@ signatures = partial(
 )
 film = partial(show.animate_modes, geometry=BALL, spectrum=SPECTRUM)
 convergence = partial(show.plot_convergence, runs=[RUN])
-pareto = partial(show.plot_pareto, points=[POINT])
 
 
 class TurnedError(Exception):
@@ -112,10 +110,6 @@ def test_a_view_reaches_the_camera(plot):
         (show.plot_error_curves, {"errors": {}}, "errors", "at least one method", "none"),
         (convergence, {"runs": []}, "runs", "at least one SolverRun", "none"),
         (convergence, {"rtol": 0.0}, "rtol", "positive", "0"),
-        (pareto, {"points": []}, "points", "at least one ParetoPoint", "none"),
-        (pareto, {"marks": {"a": 0.0}}, "marks", "positive", "0"),
-        (partial(replace, POINT), {"worst": (0.5, 1.0)}, "worst", "seconds >= 1 and", "0.5"),
-        (partial(replace, POINT), {"worst": (2.0, 0.0)}, "worst", "error >= 0.1", "2.0"),
         (show.plot_spectrum, {"spectra": {}}, "spectra", "at least one Spectrum", "none"),
         (show.plot_spectrum, {"spectra": {"a": BALL}}, "spectra", "names to Spectrum", "a dict"),
         (show.plot_spectrum, {"spectra": {"b": EMPTY}}, "spectra", "have modes", "none in 'b'"),
@@ -269,7 +263,7 @@ def test_wide_geometries_stand_in_rows_tall_ones_in_columns(tmp_path):
         panel, style = Panel(values=points[:, 0], limit=1.0), {"columns_named": [*"abc"]}
         path, cloud = tmp_path / "x.png", PointCloud(points * stretch)
         style |= {"rows_named": [*"12345"], "page": Page(dpi=20)}
-        show.plot_panels(path, cloud, [[panel] * 3] * 5, **style)
+        show.plot_panels(cloud, [[panel] * 3] * 5, path=path, **style)
         height, width, _ = page(path).shape
         assert 0.5 < width / height < 2
 
@@ -286,7 +280,7 @@ def without(fake, tmp_path, monkeypatch):
     """Put a `pyvista` in front of the real one, for new processes only."""
     (tmp_path / "pyvista.py").write_text(fake)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    drawer.end_drawing()
+    render.end_drawing()
 
 
 def test_a_geometry_may_be_a_file_and_so_may_the_picture(tmp_path):
@@ -298,7 +292,7 @@ def test_a_geometry_may_be_a_file_and_so_may_the_picture(tmp_path):
         assert (picture.content or path.read_bytes()).startswith(b"\x89PNG")
     assert show.plot_fields(path=path, geometry=mesh, **options).path == path
     with pytest.raises(InvalidInputError, match="`path` must be a string, path or None, got a Tri"):
-        show.plot_modes(lone, SPECTRUM, lone)
+        show.plot_modes(lone, SPECTRUM, path=lone)
     with pytest.raises(InvalidInputError, match=r"the folder .* does not exist"):
         modes(path=tmp_path / "no" / "modes.png", view=Turned())
 
@@ -342,10 +336,10 @@ def test_what_fails_in_the_process_that_draws_is_told_and_the_picture_kept(
     picture.write_text("the old one")
     (tmp_path / "pyvista.py").write_text(fake)  # in front of the real one, for new processes only
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    drawer.end_drawing()
+    render.end_drawing()
     with pytest.raises(error, match=told) as caught:
         panels(path=picture)
-    drawer.end_drawing()
+    render.end_drawing()
     assert picture.read_text() == "the old one"
     notes = "".join(getattr(caught.value, "__notes__", ()))
     assert note in notes
@@ -361,7 +355,7 @@ def test_one_process_draws_all_pictures_until_it_dies(monkeypatch):
             processes.append(self)
 
     monkeypatch.setattr(subprocess, "Popen", Recorded)
-    drawer.end_drawing()
+    render.end_drawing()
     first, again = (draw(BALL)[0] for _ in range(2))
     assert np.array_equal(first, again)
     assert len(processes) == 1
@@ -380,7 +374,7 @@ def test_one_process_draws_all_pictures_until_it_dies(monkeypatch):
     assert "in the process that draws" in caught.value.__notes__[0]
     assert np.array_equal(draw(BALL)[0], first)
     assert len(processes) == n  # it goes on
-    drawer.end_drawing()
+    render.end_drawing()
     assert [process.poll() is None for process in processes] == [False] * len(processes)
 
 
@@ -449,7 +443,7 @@ def test_pictures_need_no_backend_and_leave_it_as_it_is(tmp_path, backend):
 def test_a_backend_that_was_chosen_stays(tmp_path):
     matplotlib = pytest.importorskip("matplotlib")
     with matplotlib.rc_context({"backend": "svg"}):
-        show.plot_spectrum(tmp_path / "a.png", SPECTRUM)
+        show.plot_spectrum(SPECTRUM, path=tmp_path / "a.png")
         assert matplotlib.rcParams["backend"] == "svg"
 
 

@@ -38,7 +38,7 @@ def modes(ball):
 def film(ball, modes, tmp_path_factory):
     """The frames of two modes, and where they are."""
     path = tmp_path_factory.mktemp("film") / "modes.gif"
-    picture = animate_modes(path, ball, modes, modes=[1, 2], amplitude=0.05, **SIZE)
+    picture = animate_modes(ball, modes, path=path, modes=[1, 2], amplitude=0.05, **SIZE)
     assert picture.path == path
     return path
 
@@ -110,7 +110,7 @@ def test_clouds_swing_and_nodal_lines_stand_still(ball, modes, tmp_path):
     told = []
     style = {"seconds_per_mode": 0.5, "nodal_lines": True, "width": 150, "fps": 8}
     style |= {"view": View("z"), "progress": lambda done, total: told.append((done, total))}
-    animate_modes(path, ball.as_cloud(), modes, modes=[1], amplitude=0.05, **style)
+    animate_modes(ball.as_cloud(), modes, path=path, modes=[1], amplitude=0.05, **style)
     assert told == [(1, 3), (2, 3), (3, 3)]  # at both ends and at rest
     frames = iio.imread(path).astype(int)
     assert len(frames) == 4
@@ -125,7 +125,7 @@ def test_clouds_swing_and_nodal_lines_stand_still(ball, modes, tmp_path):
 
 def test_a_film_as_mp4(ball, modes, tmp_path):
     path = tmp_path / "modes.mp4"
-    animate_modes(path, ball, modes, modes=[1], seconds_per_mode=1, width=71, fps=8)
+    animate_modes(ball, modes, path=path, modes=[1], seconds_per_mode=1, width=71, fps=8)
     decode = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path), "-f", "rawvideo"]
     film = subprocess.run([*decode, "-pix_fmt", "rgb24", "-"], capture_output=True, check=True)
     about = film.stderr.decode()
@@ -140,7 +140,7 @@ def test_a_film_as_mp4(ball, modes, tmp_path):
 def test_without_ffmpeg_the_error_names_the_extra(ball, modes, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)  # as if it were not installed
     with pytest.raises(MissingDependencyError) as error:
-        animate_modes(tmp_path / "modes.mp4", ball, modes)
+        animate_modes(ball, modes, path=tmp_path / "modes.mp4")
     assert str(error.value).startswith("MP4 needs imageio-ffmpeg; pip install 'spectra_kit[video]'")
     assert os.listdir(tmp_path) == []
 

@@ -67,7 +67,7 @@ def test_behind_is_the_same_outline_mirrored():
 def test_the_identity_gives_the_target_the_colours_of_the_source(tmp_path, as_cloud):
     mesh = PAIR[0].as_cloud() if as_cloud else PAIR[0]
     plot_correspondence(
-        tmp_path / "map.png", mesh, mesh, range(mesh.n), names=("x", "x"), page=Page(dpi=40)
+        mesh, mesh, range(mesh.n), path=tmp_path / "map.png", names=("x", "x"), page=Page(dpi=40)
     )
     picture = page(tmp_path / "map.png")[20:]  # below the names
     hue = np.ptp(picture, axis=2) > 12
@@ -102,7 +102,7 @@ def test_what_is_not_covered_is_grey(tmp_path, transfer):
     mesh = PAIR[0]
     same, nothing = range(mesh.n), np.zeros(mesh.n, dtype=bool)
     style = {"transfer": transfer, "names": ("x", "x"), "page": Page(dpi=40)}
-    plot_correspondence(tmp_path / "map.png", mesh, mesh, same, covered=nothing, **style)
+    plot_correspondence(mesh, mesh, same, path=tmp_path / "map.png", covered=nothing, **style)
     picture = page(tmp_path / "map.png")[20:]
     columns = np.flatnonzero((np.ptp(picture, axis=2) > 12).any(axis=0))
     assert columns.max() < picture.shape[1] / 2  # of the source alone
@@ -111,6 +111,6 @@ def test_what_is_not_covered_is_grey(tmp_path, transfer):
 
 
 def test_a_functional_map_is_dark_where_it_is_large(tmp_path):
-    plot_functional_map(tmp_path / "c.png", np.eye(20)[:15], page=Page(dpi=50))
+    plot_functional_map(np.eye(20)[:15], path=tmp_path / "c.png", page=Page(dpi=50))
     matrix = page(tmp_path / "c.png")
     assert (matrix[..., 0] - matrix[..., 2] > 60).sum() > 100  # the diagonal is dark red

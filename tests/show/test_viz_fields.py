@@ -33,11 +33,10 @@ from spectra_kit.show.colours import (
     texture_colours,
 )
 from spectra_kit.show.contours import level_lines, triangles_of
-from spectra_kit.show.gallery import _panel
+from spectra_kit.show.fields import Panel, _panel, symmetric_limit
 from spectra_kit.show.modes import _panel as mode_panel
 from spectra_kit.show.modes import _panels as mode_panels
 from spectra_kit.show.modes import display_signs
-from spectra_kit.show.panels import Panel, symmetric_limit
 from spectra_kit.show.render import Scene, render
 
 LEVELS = np.array([-0.5, 0.0, 0.5])
@@ -227,8 +226,10 @@ def test_fields_share_a_view_and_limits(tmp_path, monkeypatch, capfd):
     monkeypatch.delenv("DISPLAY", raising=False)
     fields = {"whole": BALL.points[:, 2], "half": BALL.points[:, 2] / 2}
     style = {"columns": 2, "view": View("z"), "page": Page(dpi=40)}
-    own = plot_fields(tmp_path / "own.png", BALL, fields, **style)
-    one = plot_fields(tmp_path / "one.png", BALL.as_cloud(), fields, share_limits=True, **style)
+    own = plot_fields(BALL, fields, path=tmp_path / "own.png", **style)
+    one = plot_fields(
+        BALL.as_cloud(), fields, path=tmp_path / "one.png", share_limits=True, **style
+    )
     for picture in (own, one):  # no more than the margin stays empty at the foot
         inked = np.flatnonzero((page(picture.path) < 240).any(axis=(1, 2)))
         assert 5 <= len(page(picture.path)) - inked[-1] <= 10
@@ -263,12 +264,12 @@ def embedded(svg):
 def test_vector_pages_hold_text_and_pictures_of_their_resolution(tmp_path, spectrum):
     def draw(name, modes):
         page = Page("T & λ", dpi=90)
-        return plot_modes(tmp_path / name, BALL, spectrum, modes=modes, page=page).path
+        return plot_modes(BALL, spectrum, path=tmp_path / name, modes=modes, page=page).path
 
     svg = draw("modes.svg", [0, 4]).read_text()
     sheet = rectangle(n=200).geometry  # galleries leave constants out
     found = eigensolve(robust_laplacian(sheet), 3)
-    first = plot_modes(tmp_path / "m.svg", sheet, found, page=Page(dpi=20)).path.read_text()
+    first = plot_modes(sheet, found, path=tmp_path / "m.svg", page=Page(dpi=20)).path.read_text()
     assert re.findall(r">mode (\d)", first) == ["1", "2"]
     texts = re.findall(r">([^<>]+)</text>", svg)
     assert texts[0] == "T &amp; λ"
@@ -289,7 +290,7 @@ def test_vector_pages_hold_text_and_pictures_of_their_resolution(tmp_path, spect
 @pytest.mark.parametrize("name", ["a.svg", "a.pdf"])
 def test_the_same_page_has_the_same_bytes(tmp_path, name):
     style = {"page": Page("C", dpi=30)}
-    plots = (plot_functional_map(tmp_path / name, np.eye(4), **style) for _ in range(2))
+    plots = (plot_functional_map(np.eye(4), path=tmp_path / name, **style) for _ in range(2))
     assert len({plot.path.read_bytes() for plot in plots}) == 1
 
 
@@ -301,7 +302,7 @@ def test_a_page_that_cannot_be_written_whole_leaves_the_last_one(tmp_path, monke
     monkeypatch.setattr(Figure, "savefig", fails)
     (path := tmp_path / "x.png").write_text("the last one")
     with pytest.raises(OSError, match="No space"):
-        plot_functional_map(path, np.eye(3))
+        plot_functional_map(np.eye(3), path=path)
     assert [(x.name, x.read_text()) for x in tmp_path.iterdir()] == [("x.png", "the last one")]
 
 
@@ -344,7 +345,7 @@ def test_a_texture_travels_with_the_map(tmp_path):
         MatchedPair(source=BALL, target=BALL, point_map=np.zeros(BALL.n, dtype=int)),
     ]
     svg = plot_correspondences(
-        tmp_path / "t.svg", pairs, transfer="texture", view=View("z"), page=Page(dpi=40)
+        pairs, path=tmp_path / "t.svg", transfer="texture", view=View("z"), page=Page(dpi=40)
     )
     source, same, _, constant = embedded(svg.path.read_text())
     np.testing.assert_array_equal(source, same)
@@ -358,11 +359,11 @@ def test_a_texture_travels_with_the_map(tmp_path):
 def test_notebooks_show_pictures_with_a_file_and_without(tmp_path):
     (tmp_path / "x.svg").write_text("<svg/>")
     (tmp_path / "x.pdf").write_bytes(b"%PDF")
-    picture = plot_functional_map(tmp_path / "x.png", np.eye(3), page=Page(dpi=20))
+    picture = plot_functional_map(np.eye(3), path=tmp_path / "x.png", page=Page(dpi=20))
     content = (tmp_path / "x.png").read_bytes()
     shown = plot_functional_map(np.eye(3), page=Page(dpi=20))
     assert (shown.path, shown.content) == (None, content)
-    for kept in (picture, shown, plot_functional_map(None, np.eye(3), page=Page(dpi=20))):
+    for kept in (picture, shown, plot_functional_map(np.eye(3), page=Page(dpi=20))):
         assert b64decode(kept._repr_mimebundle_()["image/png"]) == content
     assert Picture(tmp_path / "x.svg")._repr_mimebundle_() == {"image/svg+xml": "<svg/>"}
     assert list(Picture(content=b"GIF89a")._repr_mimebundle_()) == ["image/gif"]

@@ -60,7 +60,7 @@ def test_a_page_shows_two_sides_with_their_sources(kind, tmp_path):
     style = {"view": View("z"), "page": Page(dpi=60)}
     for name, sources in (("with", top), ("without", None)):
         path = tmp_path / f"{name}.png"
-        plot_distance(path, geometry, distance, sources=sources, **style)
+        plot_distance(geometry, distance, path=path, sources=sources, **style)
         pages.append(page(path))
     assert pages[0].shape[1] == pytest.approx(60 * (2 * 4.6 + 0.48), abs=2)
     pixels = pages[0][20:270]

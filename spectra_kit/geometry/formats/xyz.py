@@ -7,8 +7,14 @@ from pathlib import Path
 
 from spectra_kit._core.validate import quantity
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.formats._arrays import Arrays, position, real
-from spectra_kit.geometry.formats._text import Lines, text_of, without_comments, words_of
+from spectra_kit.geometry.formats._arrays import Arrays, position, real, whole
+from spectra_kit.geometry.formats._text import (
+    Lines,
+    text_lines,
+    text_of,
+    without_comments,
+    words_of,
+)
 from spectra_kit.geometry.shapes import PointCloud
 
 Rows = list[tuple[int, str]]  # (line number, line)
@@ -87,3 +93,17 @@ def write(cloud: PointCloud, path: Path) -> None:
     """Write with the shortest digits that give back the same float64."""
     with path.open("w", encoding="ascii", newline="\n") as file:
         file.writelines(f"{x!r} {y!r} {z!r}\n" for x, y, z in cloud.points.tolist())
+
+
+def read_integers(path: Path, columns: int) -> list[tuple[int, ...]]:
+    """Return the lines of a text as so many integers each; a ValueError tells which is not."""
+    rows = []
+    for number, words in text_lines(path):
+        try:
+            row = tuple(map(whole, words))
+        except ValueError:
+            row = ()
+        if len(row) != columns:
+            raise ValueError(f"{' '.join(words)[:60]!r} in line {number}")
+        rows.append(row)
+    return rows
