@@ -467,7 +467,9 @@ def _prepared(
     if isinstance(side, Spectrum):
         return prepared(side, geometry)
     if geometry is not None:
-        raise InvalidInputError(f"{name}_geometry", "be left out but of a spectrum", "one")
+        raise InvalidInputError(
+            f"{name}_geometry", f"be left out where `{name}` is no Spectrum", "one"
+        )
     return side if isinstance(side, Prepared) else prepared(side)
 
 
