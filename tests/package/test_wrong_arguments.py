@@ -192,7 +192,6 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
             candidate,
             panel,
             pair,
-            point,
             run,
         ),
         *(
