@@ -414,6 +414,11 @@ ALSO = {
     "subspace": {"function"},
     "parts": {"function"},
     "fit_functional_map.k": {"array", "none"},
+    "match.source": {"geometry"},
+    "match.target": {"geometry"},
+    "match_part.part": {"geometry"},
+    "match_part.whole": {"geometry"},
+    "prepare.spectrum": {"geometry"},
     "MatchedPair.point_map": {"number"},  # looked at with its geometries, when drawn
     "plot_spectrum.spectra": {"Spectrum"},
     "check_sources.geometry": {"Laplacian", "Spectrum"},
@@ -689,8 +694,8 @@ def test_wrong_arguments_are_refused_by_name(name):
             " `spectrum`?",
         ),
         (
-            lambda e: sk.match(e["TriangleMesh"], e["TriangleMesh"]),
-            "`source` must be a Prepared or Spectrum, got a TriangleMesh; pass prepare(spectrum",
+            lambda e: sk.match(e["Laplacian"], e["TriangleMesh"]),
+            "`source` must be a TriangleMesh, PointCloud, Spectrum or Prepared, got a Laplacian",
         ),
         (
             lambda e: sk.eigensolve(e["Laplacian"], 5, sk.Dense),
