@@ -189,7 +189,6 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
             candidate,
             panel,
             pair,
-            point,
             run,
         ),
         *(
