@@ -15,15 +15,21 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from measure.command import exit_code, parser_of
 from numpy.typing import NDArray
+from studies.command import exit_code, parser_of
 
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import TriangleMesh
-from spectra_kit.neo.train.corpus import CorpusReport, claim, count, read_fingerprint
+from spectra_kit.neo.train.corpus import (
+    Corpus,
+    CorpusReport,
+    claim,
+    count,
+    open_shards,
+    read_fingerprint,
+)
 from spectra_kit.neo.train.families import FAMILIES
 from spectra_kit.neo.train.samples import CorpusConfig, sample_mesh
-from spectra_kit.neo.train.shards import Corpus, open_shards
 from spectra_kit.neo.train.surfaces import join
 from spectra_kit.show.camera import View
 from spectra_kit.show.render import Scene, render
@@ -162,13 +168,12 @@ def survey(corpus: Corpus, config: CorpusConfig, places: Sequence[int]) -> Surve
     A tenth of a second each.
     """
     batch = corpus.batch(places)
-    assert batch.operators is not None  # as all corpora of this format
     return Survey(
         counts=count(corpus.labels),
         nonuniform=float(corpus.labels["nonuniform"].mean()),
         meshes=float(corpus.labels["mesh"].mean()),
         topologies=tuple(topology(sample_mesh(config, one)) for one in labels_of(corpus, places)),
-        eigenvalues=batch.operators.eigenvalues.astype(np.float64),
+        eigenvalues=batch.arrays()["eigenvalues"].astype(np.float64),
     )
 
 

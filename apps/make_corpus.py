@@ -13,10 +13,11 @@ from argparse import Namespace, _ActionsContainer
 from collections.abc import Sequence
 from pathlib import Path
 
-from measure.command import exit_code, parser_of
+from studies.command import exit_code, parser_of
 from tqdm import tqdm
 
-from spectra_kit.neo.train.corpus import CorpusConfig, generate
+from spectra_kit.neo.train.corpus import generate
+from spectra_kit.neo.train.samples import CorpusConfig
 
 
 def main(argv: Sequence[str] | None = None) -> int:

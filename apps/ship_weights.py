@@ -1,21 +1,28 @@
-"""Put trained weights into the package: the file, its hash in the registry, golden tensors."""
+"""Put trained weights into the package: the file, its line in the index, golden tensors."""
 
 from __future__ import annotations
 
-import re
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
-from measure.command import exit_code, parser_of
 from safetensors.torch import save_file
+from studies.command import exit_code, parser_of
 
 from spectra_kit._core.files import atomic_path
 from spectra_kit.eigen.subspaces.frame import canonical_frame
-from spectra_kit.neo.pretrained import load_pretrained, save_weights
+from spectra_kit.neo.pretrained import (
+    INDEX,
+    Shipped,
+    load_pretrained,
+    read_index,
+    save_weights,
+)
 
 ROOT = Path(__file__).parents[1]
+TOLD = ("steps", "samples", "minutes", "span_error", "mean")  # of the record, in the index
 
 
 def ship(name: str, weights: Path, root: Path) -> str:
@@ -24,7 +31,8 @@ def ship(name: str, weights: Path, root: Path) -> str:
     file = f"neo-{name}.safetensors"
     path = root / "spectra_kit" / "neo" / "weights" / file
     digest = save_weights(path, loaded.network, loaded.record, dtype=torch.float16)
-    _register(root / "spectra_kit" / "neo" / "pretrained.py", name, file, digest)
+    told = {key: loaded.record[key] for key in TOLD if key in loaded.record}
+    _register(path.parent, name, Shipped(file, digest, told))
     points, mass = _cloud()
     with torch.no_grad():
         basis = load_pretrained(path).network(points[None], mass[None])[0]
@@ -33,16 +41,12 @@ def ship(name: str, weights: Path, root: Path) -> str:
     return digest
 
 
-def _register(source: Path, name: str, file: str, digest: str) -> None:
-    """Write an entry of `WEIGHTS`, in place of an old one of that name."""
-    head, rest = source.read_text().split("WEIGHTS: dict[str, tuple[str, str]] = {\n", 1)
-    body, tail = rest.split("\n}\n", 1)
-    entries = dict(re.findall(r'    "([\w-]+)": (\(\n.*?\n    \),)', body, flags=re.DOTALL))
-    entries[name] = f'(\n        "{file}",\n        "{digest}",\n    ),'
-    lines = [f'    "{key}": {value}' for key, value in sorted(entries.items())]
-    with atomic_path(source) as path:
-        joined = "\n".join(lines)
-        path.write_text(f"{head}WEIGHTS: dict[str, tuple[str, str]] = {{\n{joined}\n}}\n{tail}")
+def _register(folder: Path, name: str, shipped: Shipped) -> None:
+    """Write an entry of the index, in place of an old one of that name."""
+    entries = read_index(folder) | {name: shipped}
+    content = {key: entry._asdict() for key, entry in sorted(entries.items())}
+    with atomic_path(folder / INDEX) as path:
+        path.write_text(json.dumps(content, indent=1) + "\n")
 
 
 def _cloud() -> tuple[torch.Tensor, torch.Tensor]:
@@ -66,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     def work() -> None:
         digest = ship(args.name, args.weights, ROOT)
         print(f"shipped {args.name} (sha256 {digest})")
-        print("now run pytest tests/neo/test_neo_shipped.py")
+        print("now run pytest tests/neo/test_neo_pretrained.py")
 
     return exit_code(work)
 

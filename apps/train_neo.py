@@ -12,24 +12,22 @@ from pathlib import Path
 
 import torch
 from make_corpus import add_corpus_options, corpus_config
-from measure.command import exit_code
+from studies.command import exit_code
 from tqdm import tqdm
 
 from spectra_kit._core.validate import check_count
 from spectra_kit.eigen import Neo
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.model import NeoConfig, NeoNetwork
-from spectra_kit.neo.pretrained import find_weights, load_pretrained, save_weights
+from spectra_kit.neo.pretrained import load_pretrained, save_weights
 from spectra_kit.neo.train import checkpoint
-from spectra_kit.neo.train.batches import window
+from spectra_kit.neo.train.checkpoint import Row
 from spectra_kit.neo.train.config import TrainConfig
-from spectra_kit.neo.train.corpus import read_fingerprint
-from spectra_kit.neo.train.evaluation import errors_of, typical
-from spectra_kit.neo.train.log import Row
+from spectra_kit.neo.train.corpus import Corpus, Source, open_shards, read_fingerprint, shard_number
+from spectra_kit.neo.train.evaluation import errors_of, typical, validate
 from spectra_kit.neo.train.ranks import Ranks, process_group
-from spectra_kit.neo.train.shards import Corpus, join, open_shards
-from spectra_kit.neo.train.stream import SampleStream
-from spectra_kit.neo.train.train import TrainResult, train, validate
+from spectra_kit.neo.train.stream import SampleStream, window
+from spectra_kit.neo.train.train import TrainResult, train
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -46,8 +44,13 @@ def _parser() -> argparse.ArgumentParser:
     add("--network", action="append", default=[], type=_size, help=sizes)
     add("--frame", choices=["principal", "none"], help="(default: that of the weights; principal)")
     add("--weights", help="begin with these weights, a name or a file, and their configuration")
+    beat = "write weights only if they are better than these, a name or a file"
+    add("--beat", help=beat)
     add("--steps", type=int, default=100_000, help="length of the schedule")
     add("--minutes", type=float, help="end the schedule by the clock, if not by the steps before")
+    pause = "end this call after so many minutes, as Ctrl-C would; --resume goes on"
+    add("--pause", type=float, help=pause)
+    add("--last", action="store_true", help="end the schedule, too, with this call of --pause")
     add("--batch", type=int, default=16, help="clouds per step, over all devices")
     add("--lr", type=float, default=5e-3)
     add("--warmup", type=float, default=0.1, help="share of the schedule in which the rate rises")
@@ -85,7 +88,8 @@ def add_stream_options(group: argparse._ActionsContainer) -> None:
     kept = "make samples, too, and keep the latest in this folder, which is for nothing else"
     add("--stream", type=Path, help=kept)
     add("--makers", type=int, default=1, help="processes that make them (%(default)s)")
-    add("--shown", type=int, default=2, help="how often each is shown (%(default)s)")
+    shown = "how often each is shown; 0: whatever is there, and no step waits (%(default)s)"
+    add("--shown", type=int, default=2, help=shown)
     add("--capacity", type=int, default=2048, help="samples to draw from (%(default)s)")
     add_corpus_options(group)
 
@@ -112,15 +116,16 @@ def _run(args: argparse.Namespace, device: str) -> TrainResult:
     network = dataclasses.replace(network, **sizes)
     names = {field.name for field in dataclasses.fields(TrainConfig)} & vars(args).keys()
     rest = {name: getattr(args, name) for name in names - {"network", "validation", "shown"}}
-    shown = check_count("--shown", args.shown, low=1) if args.stream else 0
+    shown = check_count("--shown", args.shown, low=0) if args.stream else 0
     config = TrainConfig(network=network, validation=args.validate, shown=shown, **rest)
     before = checkpoint.read(args.out) if args.resume else None
     if initial is not None and before is None and Ranks.here().first:
         errors = validate(initial.to(device).eval(), validation, config)
         print(f"span error on held-out samples, before: {_errors(errors)}", flush=True)
+    begun = 0 if before is None else before["state"]["step"]
     quiet = True if Ranks.here().rank else None
     with (
-        _corpus(args, config, 0 if before is None else before["state"]["step"]) as corpus,
+        _corpus(args, config, begun) as corpus,
         tqdm(total=args.steps, unit="step", disable=quiet) as bar,
     ):
         return train(
@@ -131,6 +136,9 @@ def _run(args: argparse.Namespace, device: str) -> TrainResult:
             resume=before is not None,
             initial=initial,
             device=device,
+            pause_after=None if args.pause is None else 60 * args.pause,
+            last=args.last,
+            wait=lambda: _wait(corpus, config),
             tensorboard=args.tensorboard,
             report=_shown(bar),
             hourly=None if args.hourly is None else _hourly(args.out, open_shards(args.hourly)),
@@ -139,14 +147,14 @@ def _run(args: argparse.Namespace, device: str) -> TrainResult:
 
 def _corpus(
     args: argparse.Namespace, config: TrainConfig, step: int
-) -> AbstractContextManager[Corpus | SampleStream]:
+) -> AbstractContextManager[Source]:
     """Return the folders, or the stream from what a step shows of it on."""
     if bool(args.corpus) == (args.stream is not None):
         raise InvalidInputError("give folders of shards, or --stream FOLDER to make samples")
     held_out = {_seed(folder) for folder in (args.validation, args.hourly) if folder is not None}
     if args.stream is None:
         _refuse(held_out & {_seed(folder) for folder in args.corpus} - {None})
-        return nullcontext(join([open_shards(folder) for folder in args.corpus]))
+        return nullcontext(open_shards(*args.corpus))
     if Ranks.here().world > 1:
         raise InvalidInputError(
             "--stream is for one process",
@@ -154,7 +162,11 @@ def _corpus(
         )
     _refuse(held_out & {args.seed})
     made_of = corpus_config(args)
-    first, _ = window(config, step, args.capacity)
+    if config.shown:
+        first, _ = window(config, step, args.capacity)
+    else:  # those of before, or of numbers that no step has shown
+        there = [shard_number(path) for path in args.stream.glob("shard_*")]
+        first = min(there) * made_of.shard_size if there else step * config.batch
     return SampleStream(
         made_of,
         workers=args.makers,
@@ -162,8 +174,16 @@ def _corpus(
         start=first // made_of.shard_size * made_of.shard_size,
         folder=args.stream,
         bounded=True,
-        ahead=made_of.shard_size,
+        ahead=made_of.shard_size if config.shown else None,
     )
+
+
+def _wait(corpus: Source, config: TrainConfig) -> None:
+    """Let a stream that shows what is there have more to show than the same few samples."""
+    if isinstance(corpus, SampleStream) and not config.shown:
+        corpus.ready(min(corpus.capacity, 4 * config.batch), timeout=60)
+        while not corpus.ready(1, timeout=60):
+            print("waiting for the first sample", flush=True)
 
 
 def _seed(folder: Path) -> int | None:
@@ -196,7 +216,7 @@ def _hourly(out: Path, full: Corpus) -> Callable[[NeoNetwork, Row], None]:
             f" samples: span error {_errors(row)}; geometric means of"
         )
         once, whole = (
-            errors_of(Neo(weights=path, smoothing=n), full) for n in (1, Neo().smoothing)
+            errors_of(Neo(weights=path, max_steps=n), full) for n in (1, Neo().max_steps)
         )
         for form, which in (("clouds", 0), ("meshes", 1)):
             chosen = full.labels["mesh"] == which
@@ -256,9 +276,11 @@ def _train(args: argparse.Namespace) -> None:
             return
         record = dict(result.record)
         if args.weights:
-            digest = find_weights(args.weights).sha256
-            record["begun_with"] = {"weights": args.weights, "sha256": digest}
-        digest = save_weights(path, result.network, record)
+            first = load_pretrained(args.weights)
+            told = {name: value for name, value in first.record.items() if name != "history"}
+            record["begun_with"] = {"weights": args.weights, "sha256": first.sha256, "record": told}
+        worse = args.beat and _worse(args, result.network)
+        digest = None if worse else save_weights(path, result.network, record)
     ending = "finished" if result.finished else "interrupted: continue with --resume"
     print(
         f"{record['steps']} steps, {record['samples']} samples, {record['minutes']} min, {ending}"
@@ -266,7 +288,22 @@ def _train(args: argparse.Namespace) -> None:
     told = "not known: validated at the last step alone"
     error = told if record["span_error"] is None else f"{record['span_error']:.5f}"
     print(f"span error on held-out samples ({record['mean']} mean): {error}")
-    print(f"weights: {path} (sha256 {digest})")
+    print(worse if worse else f"weights: {path} (sha256 {digest})")
+
+
+def _worse(args: argparse.Namespace, network: NeoNetwork) -> str:
+    """Return why a network is not written: nothing where it beats the weights that it is to."""
+    corpus = open_shards(args.validation)
+    rival = load_pretrained(args.beat).network
+    old, new = (
+        validate(
+            one.to("cpu"),
+            corpus,
+            TrainConfig(network=one.config, steps=1, validation=args.validate),
+        )["validation"]
+        for one in (rival, network)
+    )
+    return "" if new < old else f"no weights written: {new:.5f} is no better than {old:.5f}"
 
 
 def _check_stream(args: argparse.Namespace) -> None:

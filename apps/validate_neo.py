@@ -14,12 +14,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from measure.command import exit_code, parser_of
+from studies.command import exit_code, parser_of
 
 from spectra_kit.eigen import Cascade, Neo
 from spectra_kit.eigen.subspaces import AmbientFourier
+from spectra_kit.neo.train.corpus import open_shards
 from spectra_kit.neo.train.evaluation import errors_of, kinds, typical
-from spectra_kit.neo.train.shards import open_shards
 
 _MEANS = {"predicted": typical, "span": typical, "value": typical, "steps": np.mean}
 _BANDWIDTH = 7.0  # of the best of a few hundred plane waves, and of a network's
@@ -32,7 +32,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("corpus", type=Path, help="folder of shards with operators")
     add("--weights", default="small", help="a name or a file (%(default)s)")
     add("--fourier", type=int, help="so many plane waves in place of a network, smoothed alike")
-    add("--smoothing", type=int, default=Neo().smoothing, help="steps of Neo (%(default)s)")
+    add("--smoothing", type=int, default=Neo().max_steps, help="steps of Neo (%(default)s)")
     add("--most", type=int, help="only so many samples, the first ones")
     add("--worst", type=int, default=10, help="samples to name (%(default)s)")
     options = parser.parse_args(argv)
@@ -41,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _validate(options: Namespace) -> None:
     corpus = open_shards(options.corpus)
-    solver: Neo | Cascade = Neo(weights=options.weights, smoothing=options.smoothing)
+    solver: Neo | Cascade = Neo(weights=options.weights, max_steps=options.smoothing)
     if options.fourier is not None:
         waves = AmbientFourier(m=options.fourier, bandwidth=_BANDWIDTH)
         solver = Cascade(subspace=waves, coarsest=sys.maxsize, max_steps=options.smoothing)

@@ -19,6 +19,7 @@ from .eigen import Automatic as Automatic
 from .eigen import Cascade as Cascade
 from .eigen import Certificate as Certificate
 from .eigen import Dense as Dense
+from .eigen import Lanczos as Lanczos
 from .eigen import ModeCount as ModeCount
 from .eigen import Neo as Neo
 from .eigen import Provenance as Provenance

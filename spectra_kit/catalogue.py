@@ -7,7 +7,7 @@ thing is imported when it is asked for, so that to list the names costs nothing.
 >>> "knn" in OPERATORS
 True
 >>> SOLVERS["arpack"].summary
-'Lanczos on a sparse factor'
+'Lanczos on a sparse factor, for a few modes'
 >>> SOLVERS["arpack"](seed=1)
 Arpack(tol=0.0, shift=0.1, seed=1, max_restarts=1000)
 """
@@ -61,7 +61,8 @@ def _table(module: str, **entries: tuple[str, ...]) -> Mapping[str, Entry]:
 SOLVERS = _table(
     "eigen",
     automatic=("automatic:Automatic", "the cheapest for an accuracy", "exact"),
-    arpack=("arpack:Arpack", "Lanczos on a sparse factor", "exact"),
+    arpack=("lanczos:Arpack", "Lanczos on a sparse factor, for a few modes", "exact"),
+    lanczos=("lanczos:Lanczos", "block Lanczos around several shifts, for many", "exact"),
     refined=(
         "refined:Refined",
         "block iterations from any start, on a sparse factor",

@@ -25,19 +25,10 @@ class _Advised(Exception):  # noqa: N818  # the part that errors and warnings sh
         self.advice, self.remedies = advice, remedies
 
     def told(self, word: Callable[[str], str] = str) -> str:
-        """Return the message, with `word` applied to each argument and call that it names.
+        """Return one line, with `word` applied to each argument and call that it names.
 
-        Parameters
-        ----------
-        word : callable, optional
-            Takes a name as Python has it and returns what its reader calls it, as the command line
-            does; by default it stays as it is. Where it returns nothing, that alternative is left
-            out.
-
-        Returns
-        -------
-        str
-            One line.
+        `word` takes a name as Python has it and returns what its reader calls it, as the command
+        line does. Where it returns nothing, that alternative is left out.
         """
         message = "; ".join(filter(None, (self._finding(word), self._advised(word))))
         return f"{self.where}: {message}" if self.where else message

@@ -22,11 +22,12 @@ from scipy import linalg, sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats
-from spectra_kit._core.validate import as_array, check_mass, quantity, warn
+from spectra_kit._core.validate import as_array, check_mass, quantity
+from spectra_kit._core.warn import warn
 from spectra_kit.eigen import Provenance, Spectrum
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh
-from spectra_kit.maps.checks import check_functional_map
+from spectra_kit.maps.convert import check_functional_map
 from spectra_kit.operators.laplacian import Laplacian, lumped_diagonal
 from spectra_kit.operators.tangent import TangentGradient
 
@@ -231,11 +232,6 @@ def to_pyvista(geometry: Geometry, **point_arrays: ArrayLike | Spectrum) -> Any:
     pyvista.PolyData
         A copy: points, triangles if there are any, and `point_data`.
 
-    Raises
-    ------
-    InvalidInputError
-        If an array has not one row for each point.
-
     Examples
     --------
     >>> import spectra_kit as sk
@@ -314,11 +310,6 @@ def to_pyfm_map(functional_map: ArrayLike, source: Spectrum, target: Spectrum) -
     -------
     ndarray of shape (k2, k1)
         Its ``FM_12``: ``functional_map`` times the root of ``target.area / source.area``.
-
-    Raises
-    ------
-    InvalidInputError
-        If `functional_map` is not finite or larger than the spectra.
 
     Notes
     -----
@@ -417,11 +408,6 @@ def to_diffusion_net(
     DiffusionNetTensors
         A tuple of seven.
 
-    Raises
-    ------
-    InvalidInputError
-        If they are not of the same points.
-
     Notes
     -----
     Its layers see no unit: weights know the one they were trained in. Its own scripts centre the
@@ -487,11 +473,6 @@ def from_diffusion_net(operators: tuple[Any, ...]) -> Spectrum:
     -------
     Spectrum
         Without a certificate.
-
-    Raises
-    ------
-    InvalidInputError
-        If `operators` has neither seven nor four entries.
     """
     if len(operators) == 7:
         operators = operators[1:5]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 from collections import Counter
 from collections.abc import Callable
 from contextlib import contextmanager
@@ -16,6 +17,10 @@ from pathlib import Path
 if processes := os.environ.get("PYTEST_XDIST_WORKER_COUNT"):
     share = max(1, (os.cpu_count() or 1) // int(processes))
     os.environ.setdefault("OMP_NUM_THREADS", str(share))
+
+# Where a shell runs this in the background, Ctrl-C is ignored, as by all that tests would start.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 import numpy as np
 import pytest
@@ -232,9 +237,9 @@ def ellipsoids(n, seed):
 @contextmanager
 def produced_here(config, indices, workers):
     """Make the samples of a stream in this process, in place of `neo.train.corpus.produced`."""
-    from spectra_kit.neo.train.corpus import packed_sample
+    from spectra_kit.neo.train.samples import make_sample
 
-    yield (packed_sample(config, index) for index in indices)
+    yield (make_sample(config, index) for index in indices)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 import os
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import wraps
@@ -31,18 +31,7 @@ def checked(target: Target) -> Target:
     """Refuse arguments of the wrong kind, by name, where `target` is called.
 
     Of a class: those of its constructor and of its public methods. ``Annotated[X, Y]`` is an X that
-    may be given as a Y.
-
-    Examples
-    --------
-    >>> from typing import Literal
-    >>> from spectra_kit._core.checked import checked
-    >>> @checked
-    ... def half(n: int, *, side: Literal["upper", "lower"] = "upper") -> int:
-    ...     return n // 2
-    >>> half(7, side="left")
-    Traceback (most recent call last):
-    spectra_kit.errors.InvalidInputError: `side` must be 'upper' or 'lower', got 'left'
+    may be given as a Y. It stands where users enter: on what the reference lists, and nowhere else.
     """
     if not isinstance(target, type):
         return cast(Target, _checked_function(target))
@@ -98,7 +87,8 @@ class _Kind:
     accepts: Callable[[Any], bool]
     article: bool = True  # before the first word
     several: str = "values"  # what to call more than one
-    of: Literal["itself", "numbers", "items"] = "itself"  # what it is made of
+    numeric: bool = False  # an array, of whose entries the words are
+    held: Callable[[Any], Iterator[tuple[object, Any, _Kind]]] | None = None  # where, what, which
     lack: str = ""  # of what is no such thing
     advice: str = ""
     made_of: Callable[[Any], Any] | None = None  # makes it of other things
@@ -106,11 +96,14 @@ class _Kind:
     @property
     def expected(self) -> str:
         """What follows "must"."""
-        *words, last = self.words
-        listed = f"{', '.join(words)} or {last}" if words else last
-        if self.of == "numbers":
-            return f"hold {listed}"
-        return f"be {_with_article(listed) if self.article else listed}"
+        if self.numeric:
+            return f"hold {_listed(self.words)}"
+        return f"be {self.one}"
+
+    @property
+    def one(self) -> str:
+        """What to call one."""
+        return _with_article(_listed(self.words)) if self.article else _listed(self.words)
 
 
 class _Signature(NamedTuple):
@@ -168,10 +161,12 @@ def _kind(hint: Any) -> _Kind | None:
         accepted = [kind.accepts for kind in (said, *others) if kind is not None]
         return said and replace(said, accepts=lambda v: any(accepts(v) for accepts in accepted))
     if origin is Literal:
+        words = tuple(map(repr, args))
         return _Kind(
-            tuple(map(repr, args)),
+            words,
             lambda v: any(type(v) is type(a) and v == a for a in args),
             article=False,
+            several=_listed(words),
         )
     base = hint if origin is None else origin
     if not isinstance(base, type) or base is object:
@@ -197,7 +192,7 @@ def _kind(hint: Any) -> _Kind | None:
         several=f"{base.__name__}s",
         lack=lack,
         advice=advice,
-        made_of=getattr(base, "_made_of", None),
+        made_of=getattr(base, "_made_of", MADE_OF.get(base)),
     )
 
 
@@ -255,61 +250,82 @@ def _numbers(letters: str, *, scalar: bool = True) -> _Kind:
             return False
         return array.dtype.kind in letters or (array.size == 0 and array.dtype.kind == "f")
 
-    if "f" in letters:
-        return _Kind(("real numbers",), accepts, several="arrays of real numbers", of="numbers")
-    return _Kind(
-        ("integers",), accepts, several="arrays of integers", of="numbers", advice="count from 0"
-    )
+    words, advice = ("real numbers", "") if "f" in letters else ("integers", "count from 0")
+    several = f"arrays of {words}"
+    return _Kind((words,), accepts, several=several, numeric=True, advice=advice)
 
 
 def _either(kinds: Sequence[_Kind | None]) -> _Kind | None:
     """Return the kind of what is one of several; what holds others is told apart inside."""
     some = [kind for kind in kinds if kind is not None]
     proper = [kind for kind in some if kind is not _NONE]
-    if len(some) < len(kinds) or (len(proper) > 1 and any(k.of != "itself" for k in proper)):
+    if len(some) < len(kinds) or (len(proper) > 1 and any(k.numeric or k.held for k in proper)):
         return None
     return replace(
         some[0],
         words=tuple(word for kind in some for word in kind.words),
         accepts=lambda v: any(kind.accepts(v) for kind in some),
+        several=" or ".join(kind.several if kind is not _NONE else "None" for kind in some),
     )
 
 
 def _sequence(base: type, args: tuple[Any, ...]) -> _Kind:
-    several = args[-1] is ...
     kinds = [_kind(a) for a in args if a is not ...]
+    size = None if args[-1] is ... else len(kinds)
 
-    def accepts(value: Any) -> bool:
-        if isinstance(value, str | bytes) or not isinstance(value, Sequence | np.ndarray):
-            return False
-        if isinstance(value, np.ndarray) and not value.ndim:
-            return False
-        if not several and len(value) != len(kinds):
-            return False
-        if several:
-            return kinds[0] is None or all(map(kinds[0].accepts, value))
-        return all(k is None or k.accepts(v) for k, v in zip(kinds, value, strict=True))
+    def is_one(value: Any) -> bool:
+        if isinstance(value, np.ndarray):
+            return value.ndim > 0 and size in (None, len(value))
+        listed = isinstance(value, Sequence) and not isinstance(value, str | bytes)
+        return listed and size in (None, len(value))
 
-    size = "" if several else f"{len(kinds)} "
-    words = f"{base.__name__.lower()} of {size}{_several(kinds[0])}"
-    return _Kind((words,), accepts, of="items", advice=kinds[0].advice if kinds[0] else "")
+    def held(value: Any) -> Iterator[tuple[object, Any, _Kind]]:
+        each = repeat(kinds[0]) if size is None else kinds
+        for place, (kind, item) in enumerate(zip(each, value, strict=False)):
+            if kind is not None:
+                yield place, item, kind
+
+    of = f"{size} {_several(kinds[0])}" if size else _several(kinds[0])
+    if len({_several(kind) for kind in kinds}) > 1:
+        of = " and ".join("anything" if kind is None else kind.one for kind in kinds)
+    return _holding(f"{base.__name__.lower()} of {of}", is_one, held, kinds[0])
 
 
 def _mapping(args: tuple[Any, ...]) -> _Kind:
     key, item = map(_kind, args)
 
-    def accepts(value: Any) -> bool:
-        return isinstance(value, Mapping) and all(
-            (key is None or key.accepts(k)) and (item is None or item.accepts(v))
-            for k, v in value.items()
-        )
+    def held(value: Any) -> Iterator[tuple[object, Any, _Kind]]:
+        for name, thing in value.items():
+            if key is not None:
+                yield name, name, key
+            if item is not None:
+                yield name, thing, item
 
     words = f"mapping of {_several(key)} to {_several(item)}"
-    return _Kind((words,), accepts, of="items", advice=item.advice if item else "")
+    return _holding(words, lambda v: isinstance(v, Mapping), held, item)
+
+
+def _holding(
+    words: str,
+    is_one: Callable[[Any], bool],
+    held: Callable[[Any], Iterator[tuple[object, Any, _Kind]]],
+    item: _Kind | None,
+) -> _Kind:
+    return _Kind(
+        (words,),
+        lambda v: is_one(v) and all(kind.accepts(thing) for _, thing, kind in held(v)),
+        held=lambda v: held(v) if is_one(v) else iter(()),
+        advice=item.advice if item else "",
+    )
 
 
 def _several(kind: _Kind | None) -> str:
     return "values" if kind is None else kind.several
+
+
+def _listed(words: Sequence[str]) -> str:
+    *first, last = words
+    return f"{', '.join(first)} or {last}" if first else last
 
 
 #: By the name of a class: what others lack to be of it, and what to do.
@@ -331,6 +347,8 @@ _ADVICE = {
 }
 
 
+#: What makes others into one of a class that is a protocol, and can have no `_made_of` of its own.
+MADE_OF: dict[type, Callable[[Any], Any]] = {}
 _RAGGED = "rows of several lengths"
 
 
@@ -360,6 +378,7 @@ def _made(name: str, value: Any, kinds: Mapping[str, _Kind], given: Mapping[str,
             raise InvalidFileError(error.path, problem) from error
         except InvalidInputError as error:
             told = error.advice if error.argument == "thing" else str(error)
+            got = f"{got}, {lack}" if lack else got
             raise InvalidInputError(name, kind.expected, got, advice=told) from error
         if kind.accepts(made):
             return made
@@ -372,13 +391,19 @@ def _described(value: Any, kind: _Kind) -> str:
         return f"the class {value.__name__}"
     if value is None or isinstance(value, bool | int | float | complex | str | np.generic):
         return repr(value) if len(repr(value)) < 60 else f"a long {type(value).__name__}"
-    if kind.of == "numbers" and isinstance(value, np.ndarray | list | tuple):
+    if kind.numeric and isinstance(value, np.ndarray | list | tuple):
         try:
             return f"dtype {np.asarray(value).dtype}"
         except ValueError:
             return _RAGGED
-    if kind.of == "items" and isinstance(value, Sequence | Mapping) and len(repr(value)) < 60:
-        return repr(value)
+    if kind.held is not None and isinstance(value, Sequence | Mapping):
+        whole = len(repr(value)) < 60
+        told = repr(value) if whole else _with_article(type(value).__name__)
+        for place, item, other in kind.held(value):
+            if not other.accepts(item) and not (whole and len(value) == 1):
+                return f"{told} whose [{place!r}] is {_described(item, other)}"
+        if whole:
+            return told
     held = ", which must be detached first" if getattr(value, "requires_grad", None) is True else ""
     return _with_article(type(value).__name__) + held
 

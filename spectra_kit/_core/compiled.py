@@ -31,15 +31,6 @@ def compiled(**options: Any) -> Callable[[F], F]:
 
     With the `options` of `numba.njit`; the interpreter lock is released inside. The function must
     not use compiled functions of other files: what is kept is found again by the text of its own.
-
-    Examples
-    --------
-    >>> from spectra_kit._core.compiled import compiled
-    >>> @compiled()
-    ... def twice(x):
-    ...     return 2 * x
-    >>> twice(4.5)
-    9.0
     """
 
     def decorate(function: F) -> F:

@@ -33,13 +33,13 @@ def arrays_digest(*arrays: NDArray[Any]) -> str:
     return found.hexdigest()
 
 
-def shape_digest(shape: _Shape) -> str:
+def shape_digest(geometry: _Shape) -> str:
     """Hash of the points of a cloud; of a mesh, of its faces, too."""
     return arrays_digest(
         *(
             array
             for name in ("points", "faces")
-            if (array := getattr(shape, name, None)) is not None
+            if (array := getattr(geometry, name, None)) is not None
         )
     )
 

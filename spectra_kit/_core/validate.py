@@ -1,27 +1,21 @@
-"""Checks at the border: public constructors and readers pass their arrays through here, once."""
+"""Checks of values, at the door: constructors, readers and functions of the reference, once."""
 
 from __future__ import annotations
 
 import re
-import sys
-import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from contextvars import ContextVar
-from dataclasses import fields
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit._core.records import table
+# Here as well until every room takes these from their homes.
+from spectra_kit._core.records import Brief as Brief
+from spectra_kit._core.records import Rebuilt as Rebuilt
+from spectra_kit._core.records import frozen as frozen
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit.errors import InvalidInputError, SpectraKitWarning
-
-Array = TypeVar("Array", bound=NDArray[np.generic])
-
-
-_HANDFUL = 4  # numbers that the repr of an array may show
+from spectra_kit._core.warn import hearing as hearing
+from spectra_kit._core.warn import warn as warn
+from spectra_kit.errors import InvalidInputError
 
 
 def quantity(n: int, noun: str) -> str:
@@ -30,13 +24,6 @@ def quantity(n: int, noun: str) -> str:
         stem, ending = re.sub("(ex|try)$", "", noun), {"ex": "ices", "try": "tries"}
         noun = stem + ending.get(noun[len(stem) :], "s")
     return f"{n:,} {noun}"
-
-
-def frozen(array: Array) -> Array:
-    """Return a read-only view of `array` (no copy; a list, and the like, becomes one)."""
-    view = cast(Array, np.asarray(array)).view()
-    view.flags.writeable = False
-    return view
 
 
 def as_array(name: str, values: ArrayLike) -> NDArray[np.generic]:
@@ -194,106 +181,3 @@ def check_weights(values: Mapping[str, float]) -> None:
     for name, value in values.items():
         if not 0 <= value < np.inf:
             raise InvalidInputError(name, "be a finite weight >= 0", repr(value))
-
-
-class Brief:
-    """Mixin of a dataclass that holds arrays: it shows their form, not their entries."""
-
-    def __init_subclass__(cls) -> None:
-        super().__init_subclass__()
-        if "__repr__" not in vars(cls):  # `dataclass`, which comes later, leaves it where it is
-            cls.__repr__ = Brief.__repr__  # type: ignore[method-assign]
-
-    def __repr__(self) -> str:
-        shown = ", ".join(f"{name}={form}" for name, form in Brief._facts(self).items())
-        return f"{type(self).__qualname__}({shown})"
-
-    def _repr_html_(self) -> str:
-        """What a notebook shows."""
-        return table(type(self).__qualname__, self._facts())
-
-    if not TYPE_CHECKING:  # which knows the names
-
-        def __getattr__(self, name: str) -> Any:
-            """Name what there is: the mesh of one record is the geometry of another."""
-            if name.startswith("_"):  # asked for by copy, pickle and notebooks
-                raise AttributeError(name)
-            known = ", ".join(f.name for f in fields(self))
-            told = f"{type(self).__qualname__} has no attribute {name!r}; it has {known}"
-            raise AttributeError(told, name=name, obj=self)
-
-    def _facts(self) -> Mapping[str, object]:
-        """What there is to show, by name."""
-        return {f.name: _form(getattr(self, f.name)) for f in fields(self) if f.repr}  # type: ignore[arg-type]
-
-
-def _form(value: object) -> str:
-    """Return the repr of a value, or the shape of an array that is not a handful of numbers."""
-    if isinstance(value, np.ndarray) and value.size > _HANDFUL:
-        return f"<{value.dtype} {value.shape}>"
-    if isinstance(value, tuple) and value and isinstance(value[0], Brief):
-        return f"<{len(value)} of {type(value[0]).__qualname__}>"
-    if hasattr(value, "nnz"):
-        return f"<sparse {value.shape}, {value.nnz} entries>"  # type: ignore[attr-defined]
-    return repr(dict(value) if isinstance(value, Mapping) else value)
-
-
-class Rebuilt(Brief):
-    """Mixin of a frozen dataclass: pickling and copying go through its constructor.
-
-    So a copy is validated and read-only like the original, and leaves cached values behind.
-    """
-
-    def __post_init__(self) -> None:
-        """Make its arrays read-only; classes that check more do so in its place."""
-        for name, value in list(vars(self).items()):
-            if isinstance(value, np.ndarray | list):
-                object.__setattr__(self, name, frozen(np.asarray(value)))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        values = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
-        plain = {k: dict(v) if isinstance(v, Mapping) else v for k, v in values.items()}
-        return _rebuild, (type(self), plain)
-
-
-def _rebuild(cls: type[Any], values: dict[str, Any]) -> Any:
-    return cls(**values)
-
-
-_heard: ContextVar[list[SpectraKitWarning] | None] = ContextVar("_heard", default=None)
-
-
-@contextmanager
-def hearing() -> Iterator[list[SpectraKitWarning]]:
-    """Collect what `warn` says inside, instead of saying it: in this thread, and in no other.
-
-    `warnings.catch_warnings` changes what all threads of a process do.
-    """
-    heard: list[SpectraKitWarning] = []
-    token = _heard.set(heard)
-    try:
-        yield heard
-    finally:
-        _heard.reset(token)
-
-
-def warn(
-    message: str,
-    category: type[SpectraKitWarning],
-    *,
-    advice: str = "",
-    remedies: tuple[str, ...] = (),
-    where: str = "",
-) -> None:
-    """Warn at the line that called the package, however deep inside the reason was found."""
-    if (heard := _heard.get()) is not None:
-        made = category(message, advice=advice, remedies=remedies)
-        made.where = where
-        heard.append(made)
-        return
-    level, frame = 1, sys._getframe()
-    while frame.f_back and frame.f_globals["__name__"].partition(".")[0] == "spectra_kit":
-        level, frame = level + 1, frame.f_back
-    told = category(message, advice=advice, remedies=remedies)
-    told.where = where
-    warnings.warn(told, stacklevel=level)

@@ -1,4 +1,4 @@
-"""What computing with torch on any device needs: sparse matrices, stage times, honest errors."""
+"""What computing with torch on any device needs: sparse matrices, threads, checks."""
 
 from __future__ import annotations
 
@@ -7,14 +7,12 @@ import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 
 import numpy as np
 import torch
 from scipy import sparse
 from torch import Tensor
 
-from spectra_kit._core.clock import Clock
 from spectra_kit._core.threads import alone
 from spectra_kit._sparse.products import spmm
 from spectra_kit.errors import InvalidInputError
@@ -100,19 +98,6 @@ def check_float_dtype(dtype: object) -> torch.dtype:
     return dtype
 
 
-@contextmanager
-def device_memory() -> Iterator[None]:
-    """Turn what torch raises for want of memory into a `MemoryError`."""
-    try:
-        yield
-    except torch.OutOfMemoryError as error:
-        raise MemoryError(str(error).partition("\n")[0]) from error
-    except RuntimeError as error:  # what the CPU's allocator raises has no type of its own
-        if "can't allocate memory" not in str(error):
-            raise
-        raise MemoryError(str(error).partition("\n")[0]) from error
-
-
 _lock = threading.Lock()
 _depth = 0
 _threads = 1  # of torch, while it is kept to fewer
@@ -141,9 +126,3 @@ def torch_threads() -> Iterator[None]:
         with _lock:
             _depth -= 1
             torch.set_num_threads(_threads)
-
-
-def device_clock(device: torch.device | str) -> Clock:
-    """Return a clock that waits for CUDA, which otherwise works on after a call returns."""
-    place = torch.device(device)
-    return Clock(partial(torch.cuda.synchronize, place) if place.type == "cuda" else None)

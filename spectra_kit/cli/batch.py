@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -20,10 +20,8 @@ from spectra_kit.cli.options import (
 from spectra_kit.cli.output import check_output, tell
 from spectra_kit.cli.progress import counted
 from spectra_kit.cli.solving import check_solvers, make_solver
-from spectra_kit.cli.workers import Workers, engine_of, part_of, running, tell_run
-from spectra_kit.datasets import Plan, SpectrumStore, compute_all, find_inputs, write_table
-from spectra_kit.datasets.files import MARK
-from spectra_kit.datasets.plan import Descriptor
+from spectra_kit.cli.workers import Workers, engine_of, opened, part_of, running, tell_run
+from spectra_kit.datasets import Plan, SpectrumStore, compute_all, find_inputs
 from spectra_kit.datasets.table import check_columns
 from spectra_kit.errors import InvalidInputError
 
@@ -83,9 +81,6 @@ class StoreOptions(Command):
 def batch(asked: BatchOptions) -> None:
     """Compute many shapes, tell what failed, write the table."""
     check_solvers(asked, asked.solver)
-    known = get_args(Descriptor)
-    if odd := [name for name in asked.descriptors if name not in known]:
-        raise InvalidInputError("--descriptors", f"be among {', '.join(known)}", ", ".join(odd))
     inputs = part_of(asked, find_inputs(asked.paths))
     if asked.csv:
         check_output(asked.csv, [".csv"], [*map(Path, asked.paths), *(one.path for one in inputs)])
@@ -109,18 +104,7 @@ def batch(asked: BatchOptions) -> None:
         report = compute_all(
             inputs, store, plan, engine=engine, strict=asked.strict, progress=progress
         )
-    if asked.csv:
-        write_table(asked.csv, report)
-    tell_run(
-        asked,
-        report,
-        noun="shape",
-        key="inputs",
-        count=len(inputs),
-        store=asked.out,
-        csv=asked.csv,
-        renewed=[one.name for one, done in report.completed if done.renewed],
-    )
+    tell_run(asked, report, asked.out)
 
 
 def store(asked: StoreOptions) -> None:
@@ -128,9 +112,7 @@ def store(asked: StoreOptions) -> None:
     for name, action in (("remove", "verify"), ("unnamed", "clean")):
         if asked.action != action:
             refuse_given(asked, [name], f"on {asked.action}")
-    if not (asked.store / MARK).is_file():
-        raise InvalidInputError(f"{str(asked.store)!r} is no store", advice="name one")
-    kept = SpectrumStore(asked.store)
+    kept = opened(asked.store)
     damaged, removed = list[dict[str, str]](), list[Path]()
     if asked.action == "verify":
         with counted(f"reading {asked.store}", "file") as progress:

@@ -183,7 +183,7 @@ def ritz_subspace(solver: Eigensolver) -> Subspace | None:
 
     Modes that were smoothed are in the span of none.
     """
-    if isinstance(solver, Neo) and (solver.smoothing or solver.cap is not None):
+    if isinstance(solver, Neo) and (solver.max_steps or solver.coarsest is not None):
         return None
     return solver.subspace if isinstance(solver, RayleighRitz | Neo) else None
 

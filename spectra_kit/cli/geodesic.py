@@ -38,7 +38,7 @@ from spectra_kit.cli.words import stem
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import (
-    Automatic,
+    WithinMemory,
     Direct,
     DistanceField,
     FacePoint,
@@ -46,7 +46,7 @@ from spectra_kit.geodesics import (
     Iterative,
     nearest_source,
 )
-from spectra_kit.geodesics.heat import exact_field
+from spectra_kit.geodesics.exact import exact_field
 from spectra_kit.geodesics.sources import check_sources
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.geometry.formats import ply
@@ -62,7 +62,7 @@ _COARSE: dict[str, Literal["additive", "projected", "none"]] = {
     "plain": "none",
 }
 Source = int | FacePoint
-Solver = Automatic | Direct | Iterative
+Solver = WithinMemory | Direct | Iterative
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -342,7 +342,7 @@ def linear_solver(asked: GeodesicOptions, modes: int) -> Solver:
     """Return the solver that ``--method`` names, with so many modes at most."""
     rtol = asked.poisson_rtol
     if asked.method == "auto":
-        return Automatic(modes=modes, rtol=rtol)
+        return WithinMemory(modes=modes, rtol=rtol)
     if asked.method == "direct":
         return Direct()
     return Iterative(coarse=_COARSE[asked.method], modes=modes, rtol=rtol)
@@ -350,7 +350,7 @@ def linear_solver(asked: GeodesicOptions, modes: int) -> Solver:
 
 def why_without_modes(asked: GeodesicOptions, solver: Solver, n: int) -> str:
     """Return why a solver that may choose on n points leaves the modes alone; "" if it does not."""
-    if not (asked.solver or asked.spectrum) or not isinstance(solver, Automatic):
+    if not (asked.solver or asked.spectrum) or not isinstance(solver, WithinMemory):
         return ""
     chosen, reason = solver.choose(n)
     return f"not needed by the direct solver: {reason}" if isinstance(chosen, Direct) else ""

@@ -130,11 +130,11 @@ def _solvers(
     few = min(modes, shipped.modes)
 
     def spectrum(solver: str, n: int) -> Spectrum:
-        told = replace(asked, start=None, rtol=None)
+        told = replace(asked, accuracy=None, start=None, rtol=None)
         k = min(n + laplacian.kernel_dimension, laplacian.n)
         return solve(laplacian, k, solver, told)
 
-    exact = spectrum("arpack", modes)
+    exact = spectrum("automatic", modes)
     # One base for all that differ in the coarse space alone: level 0, as in the paper.
     base = Iterative(coarse="none", drop=None, relaxation=0.0, modes=modes, rtol=rtol)
     additive = replace(base, coarse="additive")
@@ -144,7 +144,7 @@ def _solvers(
         f"IC(0) + {modes} NEO modes": (additive, spectrum("neo", modes)),
         f"IC(0) + {modes} exact modes, projected": (replace(base, coarse="projected"), exact),
         "relaxed IC": (replace(shipped, coarse="none"), None),
-        f"relaxed IC + {few} exact modes": (shipped, spectrum("arpack", few)),
+        f"relaxed IC + {few} exact modes": (shipped, spectrum("automatic", few)),
         _DIRECT: (Direct(), None),
         "potpourri3d": None,
     }

@@ -44,12 +44,12 @@ from spectra_kit.maps import (
     bijectivity_errors,
     coverage,
     dirichlet_energy,
+    inverse_map,
     map_errors,
     match,
     match_part,
     orientation,
     prepare,
-    way_back,
 )
 from spectra_kit.maps.prepare import LOWEST_K
 from spectra_kit.maps.result import Doubt
@@ -293,7 +293,7 @@ def _matched(
         "margin": found.margin,
         "other_side": found.mirror_margin,
         "score": found.score,
-        "torn": found.torn,
+        "discontinuity": found.discontinuity,
         "candidates": len(found.candidates),
         **({} if not found.alike else {"alike": found.alike}),
         **({} if held is None else {"landmarks_held": int(held.sum())}),
@@ -377,7 +377,7 @@ def doubts_of(found: Match) -> str:
         "consistent": "it is in doubt which side of a cloud is out",
         "coverage": "it covers hardly more of the source than chance would",
         "score": "the surfaces look no more alike than unrelated ones",
-        "torn": "it takes neighbours apart",
+        "discontinuity": "it takes neighbours apart",
         "genera": "the surfaces have other numbers of handles",
         "rims": "at least one is cut off, and not where the other is",
         "landmark_distances": "it does not lead to all landmarks",
@@ -415,7 +415,7 @@ def quality_of(source: Side, target: Side, found: Match) -> tables.Record:
     if covered is None:
         energy = dirichlet_energy(source.laplacian, target.laplacian, point_map)
         if isinstance(shape, TriangleMesh):  # from a source point to where the map takes its image
-            back = way_back(source.spectrum, target.spectrum, point_map)
+            back = inverse_map(source.spectrum, target.spectrum, point_map)
             missed = float(bijectivity_errors(shape, point_map, back).mean())
     mass = target.spectrum.mass
     return {
@@ -430,7 +430,7 @@ def quality_of(source: Side, target: Side, found: Match) -> tables.Record:
         "point_map_orientation": turned,
         "coverage": coverage(point_map[there], source.spectrum.mass),
         "dirichlet_energy": energy,
-        "way_back_error": missed,
+        "inverse_error": missed,
     }
 
 

@@ -8,14 +8,11 @@ from cyclopts import Parameter
 
 from spectra_kit.cli.options import Count, Sides, refuse_given
 from spectra_kit.cli.output import check_output
-from spectra_kit.cli.workers import Workers, engine_of, part_of, running, tell_run
-from spectra_kit.datasets import Matching, SpectrumStore, write_match_table
-from spectra_kit.datasets.collected import OF_COLLECTED, collected
-from spectra_kit.datasets.files import MARK
-from spectra_kit.datasets.match_table import OF_PAIRS
-from spectra_kit.datasets.pairs import only_plan, pairs_of, records_of
-from spectra_kit.datasets.run_pairs import match_records
-from spectra_kit.datasets.table import check_columns
+from spectra_kit.cli.workers import Workers, engine_of, opened, part_of, running, tell_run
+from spectra_kit.datasets import Matching
+from spectra_kit.datasets.inputs import only_plan, pairs_of, records_of
+from spectra_kit.datasets.pairs import OF_COLLECTED, collected, match_records
+from spectra_kit.datasets.table import OF_PAIRS, check_columns
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.maps.prepare import LOWEST_K
 
@@ -62,15 +59,13 @@ class MatchAllOptions(_Kept, Workers):
 
 def match_pairs(asked: MatchAllOptions) -> None:
     """Match pairs of a store, tell what failed, write the table."""
-    if not (asked.store / MARK).is_file():
-        raise InvalidInputError(f"{str(asked.store)!r} is no store", advice="name one")
+    store = opened(asked.store)
     if asked.together:
         refuse_given(asked, _OF_WORKERS, "with --together, which one process does; match alone")
         if asked.sides == "reversed":
             raise InvalidInputError("--sides", "be either or kept with --together", asked.sides)
     if asked.csv:
         check_output(asked.csv, [".csv"], [asked.pairs])
-    store = SpectrumStore(asked.store)
     plan = only_plan(store, asked.k)
     if (k := int(str(plan["k"]))) < LOWEST_K:
         raise InvalidInputError(
@@ -95,13 +90,13 @@ def match_pairs(asked: MatchAllOptions) -> None:
     together = engine = None
     if asked.together:
         with running("joining", "shape") as progress:
-            together, pairs = collected(store, pairs, records, matching=matching, progress=progress)
+            together, pairs = collected(pairs, store, records, matching=matching, progress=progress)
     else:
         engine = engine_of(asked, "pair", missing)
     with running("matching", "pair") as progress:
         report = match_records(
-            store,
             pairs,
+            store,
             records,
             matching=matching,
             engine=engine,
@@ -109,22 +104,11 @@ def match_pairs(asked: MatchAllOptions) -> None:
             progress=progress,
             together=together,
         )
-    if asked.csv:
-        write_match_table(asked.csv, report)
-    found = [one for _, one in report.completed]
+    found = [done.record for _, done in report.completed]
     doubts = {
         "ambiguous": sum(one.ambiguous for one in found),
         "not_convincing": sum(not one.convincing for one in found),
         "groups": together and together.collection.groups,
         "foreign": together and together.collection.foreign,
     }
-    tell_run(
-        asked,
-        report,
-        noun="pair",
-        key="pairs",
-        count=len(pairs),
-        store=asked.store,
-        csv=asked.csv,
-        more=doubts,
-    )
+    tell_run(asked, report, asked.store, doubts)

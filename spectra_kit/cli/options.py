@@ -186,7 +186,7 @@ class Predictor(Spared, group="solver"):
     k: Count = 96
     solver: OptionalName | None = None
     """what predicts (default: neo)"""
-    against: SolverName = "arpack"
+    against: SolverName = "lanczos"
     """what solves for the truth, one of the same"""
     spectrum: Path | None = None
     """take the truth from this file, written by spectra-kit spectrum -o, and solve for none"""

@@ -13,7 +13,7 @@ from spectra_kit.cli.options import NETWORK, Solver, refuse_given
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.words import listed
 from spectra_kit.eigen import Eigensolver, Neo, Spectrum, eigensolve
-from spectra_kit.eigen.starts import plane_waves
+from spectra_kit.eigen.base import plane_waves
 from spectra_kit.eigen.subspaces import Subspace
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.operators import Laplacian

@@ -10,7 +10,7 @@ import numpy as np
 from spectra_kit._core.validate import quantity
 from spectra_kit.cli.words import stem, told
 from spectra_kit.eigen import Certificate, Spectrum
-from spectra_kit.eigen.doubts import DOUBTFUL, verdict
+from spectra_kit.eigen.accuracy import DOUBTFUL, verdict
 from spectra_kit.eigen.metrics import Comparison
 from spectra_kit.geometry import Diagnosis, Geometry, TriangleMesh
 from spectra_kit.operators import Laplacian

@@ -19,6 +19,7 @@ _SAME = (
     "operator",
     "boundary",
     "cloud",
+    "descriptors",
 )
 _MANY = ("nworkers", "nthreads", "memory_limit", "scheduler", "scheduler_file")  # of Dask
 _OPTIONS = {
@@ -43,7 +44,9 @@ _OPTIONS = {
     **{f"{name}_laplacian": f"--operator {name}" for name in OPERATORS},
     **{name.capitalize(): f"--solver {name}" for name in SOLVERS},
     # What no command can be told.
-    **dict.fromkeys(("max_steps", "max_sweeps", "max_restarts", "max_points", "tol"), ""),
+    **dict.fromkeys(
+        ("max_steps", "max_sweeps", "max_restarts", "max_shifts", "max_points", "tol"), ""
+    ),
     'kind="cloud"': "",
 }
 

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -16,10 +16,15 @@ from spectra_kit.cli.options import Command, refuse_given
 from spectra_kit.cli.output import tell
 from spectra_kit.cli.progress import counted, say
 from spectra_kit.cli.words import told
-from spectra_kit.datasets import BatchReport, DaskEngine, Engine, shard
+from spectra_kit.datasets import BatchReport, DaskEngine, Engine, SpectrumStore, shard, write_table
+from spectra_kit.datasets.files import MARK
 from spectra_kit.datasets.inputs import Named
-from spectra_kit.datasets.spared import Spared
+from spectra_kit.datasets.run import Spared
 from spectra_kit.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from spectra_kit.cli.batch import BatchOptions
+    from spectra_kit.cli.match_all import MatchAllOptions
 
 _NAMED = 3  # names that a line tells
 
@@ -42,6 +47,13 @@ class Workers(Command, group="workers"):
     """file in which a scheduler has written its address (default: none)"""
     shard: Annotated[str | None, Parameter(metavar="I/N")] = None
     """compute the I-th of N parts alone, as the tasks of a job array do (default: all)"""
+
+
+def opened(folder: Path) -> SpectrumStore:
+    """Return the store in a folder; unlike `SpectrumStore`, make none."""
+    if not (folder / MARK).is_file():
+        raise InvalidInputError(f"{str(folder)!r} is no store", advice="name one")
+    return SpectrumStore(folder)
 
 
 def part_of(asked: Workers, inputs: Sequence[Named]) -> Sequence[Named]:
@@ -104,43 +116,42 @@ def running(text: str, noun: str) -> Iterator[Callable[[int, int], None]]:
 
 
 def tell_run(
-    asked: Workers,
+    asked: "BatchOptions | MatchAllOptions",
     report: BatchReport[Any, Any],
-    *,
-    noun: str,
-    key: str,
-    count: int,
     store: Path,
-    csv: Path | None,
     more: Mapping[str, int | Sequence[str | Sequence[str]] | None] | None = None,
-    renewed: list[str] | None = None,
 ) -> None:
-    """Say what came of a run; failures last, where they are seen. `more` is told of results.
+    """Write the table, and say what came of a run; failures last, where they are seen.
 
-    Names that are `renewed` stood for other bytes before.
+    `more` is told of results.
     """
+    if asked.csv:
+        write_table(asked.csv, report)
     for text in report.replaced:
         say(f"warning: {text}")
+    renewed = [one.name for one, done in report.completed if done.renewed]
     if renewed:
         rest = f" and {len(renewed) - _NAMED:,} more" if len(renewed) > _NAMED else ""
         say(
             f"warning: {quantity(len(renewed), 'name')} stood for other files before, or for other"
             f" bytes, and now for these: {', '.join(renewed[:_NAMED])}{rest}"
         )
-    things = [(one[0].name, one[1]) for one in report.failed]
-    failed = [{"name": name, "reason": told(error)} for name, error in things]
-    computed, known = report.computed, count - len(failed) - report.computed
+    failed = [{"name": one.name, "reason": told(error)} for one, error in report.failed]
+    count = len(report.completed) + len(failed)
+    computed, known = report.computed, len(report.completed) - report.computed
+    of_shapes = report.of == "shapes"
+    noun = "shape" if of_shapes else "pair"
     record = {
-        key: count,
+        "inputs" if of_shapes else "pairs": count,
         "computed": computed,
         "known": known,
         "failed": failed,
         **(more or {}),
         "replaced": list(report.replaced),
-        **({} if renewed is None else {"renewed": renewed}),
+        **({"renewed": renewed} if of_shapes else {}),
         "seconds": round(report.seconds, 3),
         "store": store,
-        "csv": csv,
+        "csv": asked.csv,
     }
     rate = f", {computed / report.seconds:.3g} a second" if computed else ""
     lines = [
@@ -152,7 +163,7 @@ def tell_run(
             if value is not None
         ),
         f"store: {store}",
-        *([f"table: {csv}"] if csv else []),
+        *([f"table: {asked.csv}"] if asked.csv else []),
     ]
     tell(asked, record, "\n".join(lines))
     for one in failed:

@@ -1,10 +1,16 @@
-"""Spectra of many shapes: a folder in which each is computed once, and what is computed of them.
+"""Many shapes, each computed once: a store, and runs that fill it.
 
 ===============  ==============================================================================
-`SpectrumStore`  the folder: shapes, spectra and signatures, each under a hash of what made it
+`SpectrumStore`  a folder: shapes, spectra, signatures and maps, under a hash of what made them
 `Plan`           what is computed of every shape, and how
 `complete`       a file, by its name: computed, unless the store has it already
-`ShapeRecord`    what a store holds for a name
+`find_inputs`    files, patterns, folders and manifests become names with paths
+`compute_all`    all of them into a store; failures are told beside results
+`find_pairs`     all shapes of a store with all others, or the pairs of a table
+`match_all`      the maps of all of them into that store; `load_match` reads one
+`write_table`    a row for each shape, or for each pair, as CSV
+`shard`          a part of either, for runs that share nothing but the store
+`DaskEngine`     the processes of this machine, or of a cluster, as workers
 ===============  ==============================================================================
 
 >>> import tempfile
@@ -12,20 +18,6 @@
 >>> store = sk.datasets.SpectrumStore(tempfile.mkdtemp())
 >>> store.spectrum(sk.geometry.creature(600), sk.datasets.Plan(k=12)).k
 12
-
-
-Spectra of thousands of shapes: whatever names them, whoever works, one store and one table.
-
-====================  =========================================================================
-`find_inputs`         files, patterns, folders and manifests become names with paths
-`compute_all`         all of them into a store; failures are told beside results
-`write_table`         a row for each shape, as CSV
-`find_pairs`          all shapes of a store with all others, or the pairs of a table
-`match_all`           the maps of all of them into that store; `load_match` reads one
-`write_match_table`   a row for each pair, as CSV
-`shard`               a part of either, for runs that share nothing but the store
-`DaskEngine`          the processes of this machine, or of a cluster, as workers
-====================  =========================================================================
 
 On a command line: ``spectra-kit batch FOLDER --out STORE --csv table.csv``, and then
 ``spectra-kit match-all STORE --pairs all --csv maps.csv``.

@@ -77,13 +77,10 @@ class DaskEngine:
 
     Raises
     ------
-    InvalidInputError
-        If there are workers to start, and a scheduler that has its own; or (when called) if each
-        may hold less than one takes that has nothing to do yet.
     MissingDependencyError
-        (when called) if Dask is not installed.
+        When called, if Dask is not installed.
     EngineLostError
-        (when called) if the scheduler cannot be reached, or ends.
+        When called, if the scheduler cannot be reached, or ends.
 
     Examples
     --------

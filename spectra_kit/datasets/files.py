@@ -81,7 +81,7 @@ class Damage(NamedTuple):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class ShapeRecord:
-    """What a store holds for a name.
+    """What a store holds for a name: all that a table tells, so that none reads the entries.
 
     Attributes
     ----------
@@ -116,10 +116,8 @@ class ShapeRecord:
     problems, warnings : tuple of str
         What was found about the geometry and passed over in its file, and what operator and solver
         warned of.
-
-    Notes
-    -----
-    It tells all that a table has, so that no table needs to read the entries themselves.
+    is_cut : bool
+        Whether boundary edges of a mesh lie along others, so that the surface is cut there.
     """
 
     name: str
@@ -142,6 +140,41 @@ class ShapeRecord:
     dna: tuple[float, ...] = ()
     problems: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    is_cut: bool = False
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class MapRecord:
+    """What a store holds for a pair.
+
+    Attributes
+    ----------
+    score, coverage, margin, mirror_margin : float
+        How good the map is: see `Match`.
+    orientation : float or None
+        Of it.
+    confidence : float
+        How likely it is right.
+    mirrored, ambiguous, convincing : bool
+        What it is believed to be.
+    doubts : tuple of str
+        What speaks against it.
+    key : str
+        Of the map: see `load_match`.
+    """
+
+    score: float
+    coverage: float
+    margin: float
+    mirror_margin: float
+    orientation: float | None
+    confidence: float
+    mirrored: bool
+    ambiguous: bool
+    convincing: bool
+    doubts: tuple[str, ...]
+    key: str
 
 
 def check_or_mark(root: Path) -> None:
@@ -280,6 +313,8 @@ def read_record(path: Path) -> ShapeRecord | None:
         ):
             raise ValueError("its content has another checksum than it says, or none")
         lists = {name: tuple(content[name]) for name in _LISTS}
+        if "is_cut" not in content:  # until November 2026 records told it in words alone
+            content["is_cut"] = any("unjoined" in text for text in lists["problems"])
         record = ShapeRecord(**{**content, **lists})
         _check_name(path, record_facts(record.name, record.facts))
         return record

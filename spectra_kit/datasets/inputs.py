@@ -1,4 +1,4 @@
-"""What a run is about: files, patterns, folders and manifests become names with paths."""
+"""What a run is about: files to compute, or pairs of shapes of a store to match, by name."""
 
 from __future__ import annotations
 
@@ -8,19 +8,25 @@ import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 from pathlib import Path
 from typing import TypeVar
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.fingerprint import facts_digest
 from spectra_kit._core.validate import check_count
-from spectra_kit.datasets.files import MARK
+from spectra_kit._core.version import VERSION
+from spectra_kit.datasets.files import MARK, ShapeRecord
+from spectra_kit.datasets.plan import Plan
+from spectra_kit.datasets.store import SpectrumStore
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.geometry.formats.foreign import advice_for
 from spectra_kit.geometry.io import READERS, readable_files
 
 _PATTERN = "*?["
 _FILE = "file"  # column of a manifest
+_ENDS = ("source", "target")  # columns of a table of pairs
+_ALL = "all"  # instead of such a table
 
 
 @checked
@@ -93,8 +99,7 @@ def find_inputs(sources: Sequence[str | os.PathLike[str]]) -> list[Input]:
     InvalidInputError
         If a source names nothing, or two files have one name.
     InvalidFileError
-        If a manifest is not there, or has no column ``file``, or an empty cell in it; or if two of
-        its columns have one name, or one has none.
+        If a manifest is not there, or is no table with a column ``file``.
 
     Examples
     --------
@@ -115,6 +120,51 @@ def find_inputs(sources: Sequence[str | os.PathLike[str]]) -> list[Input]:
 
 
 @checked
+def find_pairs(
+    pairs: str | os.PathLike[str], store: SpectrumStore, plan: Plan | None = None
+) -> list[Pair]:
+    """Return the pairs that are to be matched.
+
+    Parameters
+    ----------
+    pairs : "all" or path-like
+        All shapes of the store with all others, each two once: the one whose name comes first is
+        the source. Or a CSV file with columns ``source`` and ``target``, names in the store;
+        further columns are handed on to the table.
+    store : SpectrumStore
+        Whose shapes.
+    plan : Plan, optional
+        By which they were computed, where the store has several.
+
+    Returns
+    -------
+    list of Pair
+        In the order of the names, or of the file.
+
+    Raises
+    ------
+    InvalidInputError
+        If the store has fewer than two shapes, or several plans and none is given.
+    InvalidFileError
+        If the file is not there, or is no table with such columns.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import spectra_kit as sk
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> store, plan = sk.datasets.SpectrumStore(folder / "store"), sk.datasets.Plan(k=12)
+    >>> for i in range(3):
+    ...     sk.geometry.write(sk.geometry.creature(600, seed=i), folder / f"{i}.off")
+    ...     _ = sk.datasets.complete(store, f"animal{i}", folder / f"{i}.off", plan)
+    >>> [pair.name for pair in sk.datasets.find_pairs("all", store)]
+    ['animal0 to animal1', 'animal0 to animal2', 'animal1 to animal2']
+    """
+    return pairs_of(pairs, store, None if plan is None else plan.facts)
+
+
+@checked
 def shard(inputs: Sequence[Named], part: int, parts: int) -> list[Named]:
     """Return one of several parts of the inputs, for runs that share a store and nothing else.
 
@@ -122,20 +172,13 @@ def shard(inputs: Sequence[Named], part: int, parts: int) -> list[Named]:
     ----------
     inputs : sequence of Input or Pair
         All of them.
-    part : int
-        Which, from 1 to `parts`.
-    parts : int
-        How many.
+    part, parts : int
+        Which, counted from 1, and of how many.
 
     Returns
     -------
     list of Input or Pair
         Chosen by a hash of the names: what is added later moves none from one part to another.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no such part.
 
     Examples
     --------
@@ -244,3 +287,63 @@ def rows_of(path: Path, what: str, needed: Sequence[str]) -> Iterator[dict[str, 
                 path, f"line {number} has not a cell for each column, or none for {names}"
             )
         yield row
+
+
+# --- pairs of a store ---
+
+
+def pairs_of(
+    pairs: str | os.PathLike[str], store: SpectrumStore, facts: Mapping[str, object] | None
+) -> list[Pair]:
+    """Return the pairs that are to be matched: see `find_pairs`."""
+    if os.fspath(pairs) == _ALL:
+        names = sorted(records_of(store, facts))
+        if len(names) < 2:
+            raise InvalidInputError("store", "hold two shapes to match", len(names))
+        return [Pair(source=a, target=b) for a, b in combinations(names, 2)]
+    return [
+        Pair(
+            source=row["source"],
+            target=row["target"],
+            columns={key: cell for key, cell in row.items() if key not in _ENDS},
+        )
+        for row in rows_of(Path(pairs), "pairs", _ENDS)
+    ]
+
+
+def records_of(store: SpectrumStore, facts: Mapping[str, object] | None) -> dict[str, ShapeRecord]:
+    """Return what a store holds of each name under a plan, or under the only one it has."""
+    meant = only_plan(store) if facts is None else _of_spectra(facts)
+    return {one.name: one for one in store.records() if _of_spectra(one.facts) == meant}
+
+
+def only_plan(store: SpectrumStore, k: int | None = None) -> Mapping[str, object]:
+    """Return by what a store's spectra were computed, those with k modes if that is told.
+
+    Those of other releases do not count, nor what else was kept beside them.
+    """
+    plans = list[Mapping[str, object]]()
+    for one in store.records():
+        meant = _of_spectra(one.facts)
+        if meant not in plans and k in (None, meant["k"]) and meant["release"] == VERSION:
+            plans.append(meant)
+    if not plans:
+        kind = "spectra" if k is None else f"spectra of {k} modes"
+        raise InvalidInputError("store", f"hold {kind}", "none", advice="compute them first")
+    if len(plans) > 1:
+        modes = sorted({str(one["k"]) for one in plans})
+        differ = [name for name in plans[0] if any(one[name] != plans[0][name] for one in plans)]
+        raise InvalidInputError(
+            "store",
+            "hold spectra of one plan, or be told of which",
+            f"those of {len(plans)}, which differ in {', '.join(differ)} ({' and '.join(modes)}"
+            " modes)",
+            advice="name it by {}",
+            remedies=("plan",),
+        )
+    return plans[0]
+
+
+def _of_spectra(facts: Mapping[str, object]) -> dict[str, object]:
+    """Return those facts of a plan that decide spectra."""
+    return {name: fact for name, fact in facts.items() if name not in ("descriptors", "operators")}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal, get_args
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.validate import check_count
@@ -16,6 +16,7 @@ from spectra_kit.geometry import Geometry, TriangleMesh, largest_component, repa
 from spectra_kit.operators import Laplacian, laplacian
 
 Descriptor = Literal["hks", "wks", "gps", "dna"]
+OperatorName = Literal["stiffness", "gradient"]
 #: What they are in the catalogue; with its own default options.
 NAMES: dict[str, str] = {"hks": "heat", "wks": "wave", "gps": "gps", "dna": "shape_dna"}
 
@@ -30,7 +31,7 @@ class Plan:
     k : int, default 96
         Modes, zero modes included.
     solver : Eigensolver, default Automatic()
-        Who computes them.
+        Who computes them; its repr tells all that decides its results.
     operator : {"robust", "cotan", "knn", "delaunay"}, optional
         The Laplacian; by default that of `operators.laplacian`.
     boundary : {"neumann", "dirichlet"}, default "neumann"
@@ -55,17 +56,12 @@ class Plan:
         In which eigenvectors, descriptors of points and operators are kept. Eigenvalues and masses
         are kept in float64.
 
-    Raises
-    ------
-    InvalidInputError
-        If a number is out of range, or a descriptor is named twice.
-
     Examples
     --------
     >>> import spectra_kit as sk
-    >>> plan = sk.datasets.Plan(k=24, descriptors=("hks",))
-    >>> plan.laplacian(sk.geometry.creature(600)).n
-    600
+    >>> plan = sk.datasets.Plan(k=24, cloud=500, descriptors=("hks",))
+    >>> plan.laplacian(plan.prepared(sk.geometry.creature(900))).n
+    500
     """
 
     k: int = 96
@@ -76,8 +72,9 @@ class Plan:
     largest: bool = False
     cloud: int | None = None
     seed: int = 0
-    descriptors: tuple[Descriptor, ...] = ()
-    operators: tuple[Literal["stiffness", "gradient"], ...] = ()
+    # Any words pass the check of kinds, which cannot tell which one of several is none of these.
+    descriptors: Annotated[tuple[Descriptor, ...], tuple[str, ...]] = ()
+    operators: Annotated[tuple[OperatorName, ...], tuple[str, ...]] = ()
     precision: Literal["float64", "float32"] = "float64"
 
     def __post_init__(self) -> None:
@@ -92,34 +89,15 @@ class Plan:
                 repr(self.solver),
                 advice="a place in memory tells nothing: make its parts frozen dataclasses",
             )
-        for name in ("descriptors", "operators"):
-            if len(set(named := getattr(self, name))) < len(named):
+        for name, kind in (("descriptors", Descriptor), ("operators", OperatorName)):
+            named, known = getattr(self, name), get_args(kind)
+            if odd := [one for one in named if one not in known]:
+                raise InvalidInputError(name, f"be among {', '.join(known)}", ", ".join(odd))
+            if len(set(named)) < len(named):
                 raise InvalidInputError(name, "be named once each", named)
 
     def prepared(self, shape: Geometry) -> Geometry:
-        """Return a shape as it is looked at: repaired, its largest part, and sampled, as planned.
-
-        Parameters
-        ----------
-        shape : TriangleMesh or PointCloud
-            As it was read.
-
-        Returns
-        -------
-        TriangleMesh or PointCloud
-            In the same unit.
-
-        Raises
-        ------
-        InvalidInputError
-            If a cloud is to be sampled, or nothing is left of a mesh.
-
-        Examples
-        --------
-        >>> import spectra_kit as sk
-        >>> sk.datasets.Plan(cloud=500).prepared(sk.geometry.creature(900)).n
-        500
-        """
+        """Return a shape as it is looked at: repaired, its largest part alone, or sampled."""
         if self.repair:
             shape = repair(shape).geometry
         if self.largest and isinstance(shape, TriangleMesh):
@@ -131,50 +109,14 @@ class Plan:
         return sample(shape, self.cloud, seed=self.seed)
 
     def laplacian(self, shape: Geometry) -> Laplacian:
-        """Return the operator of a prepared shape, with its boundary condition.
-
-        Parameters
-        ----------
-        shape : TriangleMesh or PointCloud
-            As `prepared` returned it.
-
-        Returns
-        -------
-        Laplacian
-            In the unit of the shape.
-
-        Raises
-        ------
-        InvalidInputError
-            If the operator refuses the shape, or is to vanish at a boundary where there is none.
-
-        Examples
-        --------
-        >>> import spectra_kit as sk
-        >>> sk.datasets.Plan(operator="cotan").laplacian(sk.geometry.creature(600)).operator
-        'cotan_laplacian(mesh)'
-        """
+        """Return the operator of a prepared shape, with its boundary condition."""
         return laplacian(shape, operator=self.operator, boundary=self.boundary)
 
     def gigabytes(self, n: int) -> float:
         """Estimate what the modes of n points take while they are solved for, in GiB.
 
-        Parameters
-        ----------
-        n : int
-            Points.
-
-        Returns
-        -------
-        float
-            For a complete factor, and nine vectors for each mode: what `Automatic` took on real
-            meshes of 5,000 to 135,000 points was 0.7 to 0.95 of it. Approximate solvers take less.
-
-        Examples
-        --------
-        >>> import spectra_kit as sk
-        >>> round(sk.datasets.Plan(k=96).gigabytes(135_000), 2)
-        0.97
+        For a complete factor, and nine vectors for each mode: what `Automatic` took on real meshes
+        of 5,000 to 135,000 points was 0.7 to 0.95 of it. Approximate solvers take less.
         """
         return factor_gigabytes(n) + 9 * 8 * self.k * n / 2**30
 

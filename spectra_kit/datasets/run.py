@@ -1,31 +1,56 @@
-"""`compute_all`: every input, by whoever works, into one store; failures beside results."""
+"""What runs over many things share: jobs, who does them, and a report of what came of each."""
 
 from __future__ import annotations
 
 import os
 import random
 import socket
+import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
-from spectra_kit._core.threads import ranges
-from spectra_kit._core.validate import Brief, quantity, warn
-from spectra_kit.datasets.completion import Completed, complete, known
-from spectra_kit.datasets.inputs import Input, Named, Pair, refuse_twice
-from spectra_kit.datasets.plan import Plan
+from spectra_kit._core.threads import usable_cores
+from spectra_kit._core.validate import Brief
+from spectra_kit.datasets.files import MapRecord, ShapeRecord
+from spectra_kit.datasets.inputs import Input, Named, Pair
 from spectra_kit.datasets.store import SpectrumStore
-from spectra_kit.datasets.together import begin
-from spectra_kit.errors import InvalidInputError, SplitSurfaceWarning, StoreError
-from spectra_kit.geometry.diagnose import UNJOINED
+from spectra_kit.errors import InvalidInputError, StoreError
 
 Thing = TypeVar("Thing")
-Result = TypeVar("Result", bound="_Result")
+Record = TypeVar("Record", ShapeRecord, MapRecord)
+Progress = Callable[[int, int], object]
 
-_ALIKE = 32  # inputs of similar size that stay side by side for a solver that takes several
+
+@checked
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Completed(Brief, Generic[Record]):
+    """What a store holds of a file, or of a pair, now.
+
+    Attributes
+    ----------
+    record : ShapeRecord or MapRecord
+        What is known of it, and the keys of everything.
+    computed : bool
+        Whether a spectrum was solved for, or a map searched for; or was there.
+    replaced : tuple of str
+        What was damaged and computed again.
+    renewed : bool
+        Whether its name stood for other bytes before, of a file that has changed since or of
+        another: what was known of these is known by this name no more.
+    seconds : float
+        That it took, with what was solved for at the same time.
+    """
+
+    record: Record
+    computed: bool
+    replaced: tuple[str, ...]
+    renewed: bool = False
+    seconds: float
 
 
 class Failed(NamedTuple):
@@ -41,6 +66,39 @@ class Failed(NamedTuple):
 
     input: Input | Pair
     error: Exception
+
+
+@checked
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BatchReport(Brief, Generic[Named, Record]):
+    """What came of a run.
+
+    Attributes
+    ----------
+    of : {"shapes", "pairs"}
+        What it was about.
+    completed : tuple of (Input or Pair, Completed)
+        In the order of the inputs, or of the pairs.
+    failed : tuple of Failed
+        In that order, too.
+    seconds : float
+        That it took.
+    """
+
+    of: Literal["shapes", "pairs"]
+    completed: tuple[tuple[Named, Completed[Record]], ...]
+    failed: tuple[Failed, ...]
+    seconds: float
+
+    @property
+    def computed(self) -> int:
+        """How many spectra were solved for, or maps searched for; the others were there."""
+        return sum(done.computed for _, done in self.completed)
+
+    @property
+    def replaced(self) -> tuple[str, ...]:
+        """What was damaged, and made again."""
+        return tuple(text for _, done in self.completed for text in done.replaced)
 
 
 @runtime_checkable
@@ -68,189 +126,70 @@ class Engine(Protocol):
 
 
 @dataclass(frozen=True)
-class _Completion:
-    """An input that is to be completed."""
+class Job:
+    """A task: what is done with a store, of what is given; by `together`, of several at once."""
 
-    input: Input
+    name: str
     store: Path
-    plan: Plan
+    given: tuple[Any, ...]
+    do: Callable[..., Completed[Any]]
+    together: Callable[..., Iterator[Callable[[], Completed[Any]]]] | None = None
 
-    @property
-    def name(self) -> str:
-        return self.input.name
-
-    def __call__(self) -> Completed:
-        return complete(SpectrumStore(self.store), self.input.name, self.input.path, self.plan)
+    def __call__(self) -> Completed[Any]:
+        """Do it."""
+        return self.do(SpectrumStore(self.store), *self.given)
 
     @staticmethod
-    def begin(tasks: Sequence[_Completion]) -> Iterator[Callable[[], Completed]]:
-        """Return what is left of those of one run: see `datasets.together.begin`."""
-        store, plan = SpectrumStore(tasks[0].store), tasks[0].plan
-        return begin(store, ((task.input.name, task.input.path) for task in tasks), plan)
+    def begin(jobs: Sequence[Job]) -> Iterable[Callable[[], Completed[Any]]]:
+        """Return what is left of those of one run."""
+        first = jobs[0]
+        if first.together is None:
+            return jobs
+        return first.together(SpectrumStore(first.store), [job.given for job in jobs])
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle it with paths from the root: who works may have another folder as theirs."""
-        there = replace(self.input, path=self.input.path.absolute())
-        return _Completion, (there, self.store.absolute(), self.plan)
+        given = tuple(one.absolute() if isinstance(one, Path) else one for one in self.given)
+        return Job, (self.name, self.store.absolute(), given, self.do, self.together)
 
 
-@runtime_checkable
-class _Result(Protocol):
-    """What a store holds of an input, or of a pair."""
-
-    @property
-    def computed(self) -> bool: ...
-
-    @property
-    def replaced(self) -> tuple[str, ...]: ...
-
-
-@checked
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BatchReport(Brief, Generic[Named, Result]):
-    """What came of a run.
-
-    Attributes
-    ----------
-    completed : tuple of (Input, Completed) or (Pair, Matched)
-        In the order of the inputs, or of the pairs.
-    failed : tuple of Failed
-        In that order, too.
-    seconds : float
-        That it took.
-    """
-
-    completed: tuple[tuple[Named, Result], ...]
-    failed: tuple[Failed, ...]
-    seconds: float
-
-    @property
-    def computed(self) -> int:
-        """How many spectra were solved for, or maps searched for; the others were there."""
-        return sum(done.computed for _, done in self.completed)
-
-    @property
-    def replaced(self) -> tuple[str, ...]:
-        """What was damaged, and made again."""
-        return tuple(text for _, done in self.completed for text in done.replaced)
-
-
-@checked
-def compute_all(
-    inputs: Sequence[Input],
-    store: SpectrumStore,
-    plan: Plan,
+def run(
+    of: Literal["shapes", "pairs"],
+    things: Sequence[Named],
+    look: Callable[[Named], Completed[Any] | Exception | Job],
+    order: Callable[[list[int]], list[int]],
     *,
-    engine: Engine | None = None,
-    strict: bool = False,
-    progress: Callable[[int, int], object] | None = None,
-) -> BatchReport[Input, Completed]:
-    """Compute what a plan wants of all inputs, but for what the store has already.
+    engine: Engine | None,
+    strict: bool,
+    progress: Progress | None,
+) -> BatchReport[Named, Any]:
+    """Do what is left to do of things, in some order of their places, and report of all.
 
-    Interrupted, it loses what is in work; called again, it goes on. Several runs may share a store:
-    each goes in an order of its own, and meets what others have done.
-
-    Parameters
-    ----------
-    inputs : sequence of Input
-        As `find_inputs` returns them.
-    store : SpectrumStore
-        Where all is kept.
-    plan : Plan
-        What is wanted.
-    engine : Engine, optional
-        Who works, such as a `DaskEngine`; by default this process, one shape after the other.
-    strict : bool, default False
-        Stop at the first failure, and raise it; go in the order of the inputs.
-    progress : callable, optional
-        Told how many inputs of how many are done.
-
-    Returns
-    -------
-    BatchReport
-        Results and failures.
-
-    Raises
-    ------
-    InvalidInputError
-        If two inputs have one name.
-    StoreError
-        If the store cannot be written: no other shape could be kept either.
-    SpectraKitError
-        Of the first input that fails, if it is `strict`; or if the engine is lost.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> import spectra_kit as sk
-    >>> folder = Path(tempfile.mkdtemp())
-    >>> sk.geometry.write(sk.geometry.creature(600), folder / "animal.off")
-    >>> _ = (folder / "empty.off").write_text("")
-    >>> inputs = sk.datasets.find_inputs([folder])
-    >>> store = sk.datasets.SpectrumStore(folder / "store")
-    >>> report = sk.datasets.compute_all(inputs, store, sk.datasets.Plan(k=12))
-    >>> report.computed, [str(failed.error).split(": ")[-1] for failed in report.failed]
-    (1, ['the file is empty'])
+    A `look` at each tells what there is of it, why there will be nothing, or the job.
     """
-    refuse_twice("inputs", [one.name for one in inputs])
     clock = Clock()
-    found, todo = list[Any](), list[int]()
-    for i, one in enumerate(inputs):
-        found.append(known(store, one.name, one.path, plan))
-        if found[i] is None:
+    found: list[Any] = []
+    todo: list[int] = []
+    for i, one in enumerate(things):
+        found.append(look(one))
+        if isinstance(found[i], Job):
             todo.append(i)
+        elif strict and isinstance(found[i], Exception):
+            raise found[i]
         elif progress is not None:
-            progress(len(found) - len(todo), len(inputs))
-    if not strict:
-        todo = _in_own_order(todo, inputs, plan)
-    tasks = [_Completion(inputs[i], Path(store.path), plan) for i in todo]
-    before = len(found) - len(todo)
-    results = work(tasks, engine=engine, strict=strict, progress=progress, before=before)
+            progress(len(found) - len(todo), len(things))
+    todo = order(todo)
+    jobs, before = [found[i] for i in todo], len(things) - len(todo)
+    results = work(jobs, engine=engine, strict=strict, progress=progress, before=before)
     for i, result in zip(todo, results, strict=True):
         found[i] = result
-    report = report_of([*zip(inputs, found, strict=True)], clock)
-    cut = [
-        one.name
-        for one, done in report.completed
-        if any(UNJOINED in p for p in done.record.problems)
-    ]
-    if cut:
-        warn(
-            f"{quantity(len(cut), 'shape')} of {len(inputs):,}, such as {cut[0]!r}: boundary edges"
-            f" lie on others, {UNJOINED}, and cut the surface",
-            SplitSurfaceWarning,
-            advice="join them with {}",
-            remedies=("Plan(repair=True)",),
-        )
-    return report
-
-
-def report_of(told: Sequence[tuple[Named, Any]], clock: Clock) -> BatchReport[Named, Any]:
-    """Return the report of results, some of which are failures."""
+    told: list[tuple[Any, Any]] = [*zip(things, found, strict=True)]
     return BatchReport(
+        of=of,
         completed=tuple((one, done) for one, done in told if not isinstance(done, Exception)),
         failed=tuple(Failed(one, done) for one, done in told if isinstance(done, Exception)),
         seconds=clock.total,
     )
-
-
-def _in_own_order(todo: list[int], inputs: Sequence[Input], plan: Plan) -> list[int]:
-    """Return the places of inputs in an order of our own, those of one size side by side.
-
-    Unless one by one is as good for the solver.
-    """
-    if not hasattr(plan.solver, "begin"):
-        return own_order(todo)
-    alike = sorted(todo, key=lambda i: _bytes(inputs[i].path))
-    return [i for cut in own_order(ranges(len(alike), _ALIKE)) for i in alike[slice(*cut)]]
-
-
-def _bytes(path: Path) -> int:
-    try:
-        return path.stat().st_size
-    except OSError:
-        return 0  # `read` says why
 
 
 def own_order(things: Sequence[Thing]) -> list[Thing]:
@@ -267,7 +206,7 @@ def work(
     *,
     engine: Engine | None,
     strict: bool,
-    progress: Callable[[int, int], object] | None,
+    progress: Progress | None,
     before: int = 0,
 ) -> list[Any | Exception]:
     """Return what came of each task, or what it raised.
@@ -306,3 +245,36 @@ def in_this_process(
             yield task, rest()
         except Exception as error:  # noqa: BLE001  # one task's failure, told with its name
             yield task, error
+
+
+@dataclass(frozen=True)
+class Spared:
+    """Works here, and goes on with an engine once its start is worth it.
+
+    A worker takes as long to start as this process took: its imports, and what the first task took
+    more than the others. All of it comes twice: Dask is imported and started here, the workers
+    after that. They gain the cores beside the threads that are busy here already. Seconds are those
+    of processors, which other programs do not stretch.
+    """
+
+    engine: Engine
+
+    def __call__(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | BaseException]]:
+        """Do the tasks, in any order."""
+        todo = list(tasks)
+        imported, start, first = time.process_time(), time.perf_counter(), 0.0
+        with closing(in_this_process(todo)) as results:
+            for done, (task, result) in enumerate(results, start=1):
+                yield task, result
+                busy = time.process_time() - imported
+                if done == 1:
+                    first = busy
+                    continue
+                each = (busy - first) / (done - 1)
+                threads = max(1.0, busy / (time.perf_counter() - start))
+                left, begun = (len(todo) - done) * each, imported + max(first - each, 0.0)
+                if left * (1 / threads - 1 / usable_cores()) > 2 * begun:
+                    break
+            else:
+                return
+        yield from self.engine(todo[done:])

@@ -1,4 +1,4 @@
-"""One row for each shape: what it is, and how far it can be trusted."""
+"""One row for each shape, or for each pair: what it is, and how far it can be trusted."""
 
 from __future__ import annotations
 
@@ -6,48 +6,57 @@ import csv
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.files import atomic_path
 from spectra_kit._core.shown import printable
-from spectra_kit.datasets.completion import Completed
-from spectra_kit.datasets.inputs import Input, Named, Pair
-from spectra_kit.datasets.run import BatchReport
+from spectra_kit.datasets.files import MapRecord, ShapeRecord
+from spectra_kit.datasets.inputs import Input, Pair
+from spectra_kit.datasets.run import BatchReport, Completed
 from spectra_kit.errors import InvalidInputError
 
 _OF_RECORD = ("kind", "points", "faces", "area", "components", "zero_modes", "level", "shape",
               "spectrum")  # fmt: skip
-_OWN = ("name", *_OF_RECORD[:-2], "residual", "problems", "warnings", "same_as", *_OF_RECORD[-2:])
+OF_SHAPES = ("name", *_OF_RECORD[:-2], "residual", "problems", "warnings", "same_as",
+             *_OF_RECORD[-2:])  # fmt: skip
+_JUDGED = tuple(one.name for one in fields(MapRecord) if one.name not in ("doubts", "key"))
+OF_PAIRS = ("source", "target", *_JUDGED, "doubts", "map")
 _RUN = re.compile(r"\s*[=+\-@\uff1d\uff0b\uff0d\uff20]")  # the last four are fullwidth
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _NUMBERED = re.compile(r"(eigenvalue|dna)_\d+")
 
 
 @checked
-def write_table(path: str | os.PathLike[str], report: BatchReport[Input, Completed]) -> None:
-    """Write what was computed as CSV, a row for each shape.
+def write_table(path: str | os.PathLike[str], report: BatchReport[Any, Any]) -> None:
+    """Write what came of a run as CSV, a row for each shape, or for each pair.
 
     Parameters
     ----------
     path : path
         The file; it appears whole or not at all.
     report : BatchReport
-        What was computed. What failed has no row.
+        What was computed or matched. What failed has no row.
 
     Raises
     ------
     InvalidInputError
-        If it is the report of `match_all`, a column of the manifest has the name of one of these,
-        or the folder does not exist.
+        If a column of the manifest, or of the pairs, has the name of one of these, or the folder
+        does not exist.
 
     Notes
     -----
-    Columns: ``name`` and those of the manifest; ``kind``, ``points``, ``faces``, ``area`` and
-    ``components``; ``zero_modes``, ``level`` and ``residual`` tell how far the modes can be
+    Columns of shapes: ``name`` and those of the manifest; ``kind``, ``points``, ``faces``, ``area``
+    and ``components``; ``zero_modes``, ``level`` and ``residual`` tell how far the modes can be
     trusted; ``problems`` of the geometry and ``warnings`` of the solver; ``same_as``, an earlier
     name of the very same geometry; the keys ``shape`` and ``spectrum`` of the store;
     ``eigenvalue_0`` and so on in 1/length^2, and ``dna_1`` and so on where the plan wants ShapeDNA.
+
+    Columns of pairs: ``source``, ``target`` and those of the table of pairs; ``score`` and
+    ``coverage``, ``margin`` and ``mirror_margin`` over rivals, and ``orientation`` of the map, as
+    `Match` has them; ``confidence``, ``mirrored``, ``ambiguous``, ``convincing``, and the
+    ``doubts`` behind them; the key ``map`` of the store, for `load_match`.
 
     Examples
     --------
@@ -63,31 +72,28 @@ def write_table(path: str | os.PathLike[str], report: BatchReport[Input, Complet
     >>> (folder / "table.csv").read_text().splitlines()[0].split(",")[-2:]
     ['eigenvalue_1', 'eigenvalue_2']
     """
-    inputs = things_of(report, Input, "compute_all")
-    check_columns(inputs)
+    things = [one for one, _ in report.completed]
+    if report.of == "pairs":
+        check_columns(things, OF_PAIRS)
+        columns = [*OF_PAIRS[:2], *further(things), *OF_PAIRS[2:]]
+        write(path, columns, (_pair_row(*one) for one in report.completed))
+        return
+    check_columns(things)
     records = [done.record for _, done in report.completed]
     columns = [
-        *("name", *further(inputs), *_OWN[1:]),
+        *(OF_SHAPES[0], *further(things), *OF_SHAPES[1:]),
         *(f"eigenvalue_{i}" for i in range(max((len(r.eigenvalues) for r in records), default=0))),
         *(f"dna_{i + 1}" for i in range(max((len(r.dna) for r in records), default=0))),
     ]
     first = dict[str, str]()
     rows = (
-        _row(one, done, first.setdefault(done.record.shape, one.name))
+        _shape_row(one, done, first.setdefault(done.record.shape, one.name))
         for one, done in report.completed
     )
     write(path, columns, rows)
 
 
-def things_of(report: BatchReport[Named, Any], kind: type[Named], made_by: str) -> list[Named]:
-    """Return what the rows are of; refuse the report of another kind of run."""
-    things = [one for one, _ in report.completed]
-    if not all(isinstance(one, kind) for one in things):
-        raise InvalidInputError("report", f"be what `{made_by}` returned", "that of other things")
-    return things
-
-
-def check_columns(things: Sequence[Input | Pair], own: Sequence[str] = _OWN) -> None:
+def check_columns(things: Sequence[Input | Pair], own: Sequence[str] = OF_SHAPES) -> None:
     """Refuse further columns that have the names of a table's own: best before the work."""
     if taken := {name for name in further(things) if name in own or _NUMBERED.fullmatch(name)}:
         raise InvalidInputError(
@@ -123,7 +129,7 @@ def _cell(value: object) -> object:
     return f"'{text}" if _RUN.match(text) and not _NUMBER.fullmatch(text) else text or value
 
 
-def _row(one: Input, done: Completed, first: str) -> dict[str, Any]:
+def _shape_row(one: Input, done: Completed[ShapeRecord], first: str) -> dict[str, Any]:
     record = done.record
     own = {
         **{name: getattr(record, name) for name in _OF_RECORD},
@@ -135,3 +141,10 @@ def _row(one: Input, done: Completed, first: str) -> dict[str, Any]:
     values = {f"eigenvalue_{i}": value for i, value in enumerate(record.eigenvalues)}
     signature = {f"dna_{i}": value for i, value in enumerate(record.dna, start=1)}
     return {"name": one.name, **one.columns, **own, **values, **signature}
+
+
+def _pair_row(pair: Pair, done: Completed[MapRecord]) -> dict[str, Any]:
+    record = done.record
+    judged = {name: getattr(record, name) for name in _JUDGED}
+    own = {**judged, "doubts": "; ".join(record.doubts), "map": record.key}
+    return {"source": pair.source, "target": pair.target, **pair.columns, **own}

@@ -7,19 +7,16 @@ What is known of its modes stands in its `Certificate`, where they come from in 
 Interchangeable eigensolvers behind `eigensolve`.
 """
 
-from spectra_kit.eigen.arpack import Arpack
 from spectra_kit.eigen.automatic import Automatic
 from spectra_kit.eigen.base import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.eigen.cascade import Cascade
-from spectra_kit.eigen.certificate import Certificate, ModeCount
+from spectra_kit.eigen.certificate import Certificate, ModeCount, Provenance
 from spectra_kit.eigen.dense import Dense
-from spectra_kit.eigen.many import eigensolve_many
+from spectra_kit.eigen.lanczos import Arpack, Lanczos
 from spectra_kit.eigen.neo import Neo
-from spectra_kit.eigen.provenance import Provenance
 from spectra_kit.eigen.rayleigh_ritz import RayleighRitz
 from spectra_kit.eigen.refined import Refined
-from spectra_kit.eigen.shortcut import spectrum
-from spectra_kit.eigen.solve import eigensolve
+from spectra_kit.eigen.solve import eigensolve, eigensolve_many, spectrum
 from spectra_kit.eigen.spectrum import Spectrum
 from spectra_kit.eigen.verification import verify
 
@@ -31,6 +28,7 @@ __all__ = [
     "Dense",
     "Eigenpairs",
     "Eigensolver",
+    "Lanczos",
     "ModeCount",
     "Neo",
     "NotConvergedError",

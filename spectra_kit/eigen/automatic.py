@@ -10,8 +10,7 @@ import numpy as np
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, check_positive, quantity
-from spectra_kit.eigen.arpack import Arpack, or_densely
-from spectra_kit.eigen.audit import is_hard
+from spectra_kit.eigen.accuracy import is_hard
 from spectra_kit.eigen.base import (
     Eigenpairs,
     Eigensolver,
@@ -20,6 +19,7 @@ from spectra_kit.eigen.base import (
     set_device,
 )
 from spectra_kit.eigen.cascade import Cascade
+from spectra_kit.eigen.lanczos import Arpack, Lanczos, cheapest, or_densely
 from spectra_kit.eigen.refined import Refined
 from spectra_kit.eigen.subspaces.given import GivenBasis
 from spectra_kit.errors import InvalidInputError
@@ -44,10 +44,10 @@ _RTOL = 1e-8  # residuals whose errors are rounding
 class Automatic:
     """Say how accurate the eigenvalues must be: what costs least for that is chosen.
 
-    The choice follows from measured costs: `Arpack` for few points and where the accuracy is high,
-    `Cascade` elsewhere, and where no factor fits. Where the cascade estimates that it has missed
-    the accuracy, `Refined` goes on from its modes with a factor. ``provenance.solver`` and
-    ``provenance.reason`` tell what was chosen, and why.
+    The choice follows from measured costs: for few points and where the accuracy is high `Arpack`,
+    from 40 modes on `Lanczos`; `Cascade` elsewhere, and where no factor fits. Where the cascade
+    estimates that it has missed the accuracy, `Refined` goes on from its modes with a factor.
+    ``provenance.solver`` and ``provenance.reason`` tell what was chosen, and why.
 
     Parameters
     ----------
@@ -137,19 +137,18 @@ class Automatic:
         >>> Automatic(accuracy=1e-3).choose(100_000, 96)[1]
         'errors of 0.001 on 100000 points need no factor'
         """
-        needed = Arpack.memory(n, k)
+        needed = Lanczos.memory(n, k)
         fits = needed <= self.memory
         if fits and n <= max(_FEW, _FEW_FOR_EACH * k):
-            return Arpack(
-                seed=self.seed
-            ), f"an exact solution is quickest for {quantity(k, 'mode')} of {n} points"
+            why = f"an exact solution is quickest for {quantity(k, 'mode')} of {n} points"
+            return cheapest(n, k, seed=self.seed), why
         if self.accuracy is not None and self.accuracy >= _TIGHT:
             why = f"errors of {self.accuracy:g} on {n} points need no factor"
         elif not fits:
             why = f"an exact solution would take {needed:.1f} GiB, more than {self.memory:g}"
         else:
             why = "exact" if self.accuracy is None else f"for errors of {self.accuracy:g}"
-            return Arpack(seed=self.seed), f"{why}, and the factor fits into memory"
+            return cheapest(n, k, seed=self.seed), f"{why}, and the factor fits into memory"
         cascade = Cascade(
             target=self.accuracy or _ROUNDING,
             max_steps=_STEPS if fits and self.device == "cpu" else _MANY,
@@ -161,7 +160,7 @@ class Automatic:
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
         solver, reason = self.choose(laplacian.n, k)
-        if isinstance(solver, Arpack):
+        if isinstance(solver, Arpack | Lanczos):
             return or_densely(solver, laplacian, k, reason)
         found = Eigenpairs(*solver.eigenpairs(laplacian, k))
         if found.solver is None or found.solver is solver:
@@ -186,11 +185,11 @@ class Automatic:
         start = GivenBasis(found.eigenvectors)
         solver: Eigensolver = Refined(start=start, rtol=rtol, seed=self.seed)
         if is_hard(laplacian):  # where sweeps may end between modes, and counts tell nothing
-            solver = Arpack(seed=self.seed)
+            solver = cheapest(laplacian.n, k, seed=self.seed)
 
         def told(more: Eigenpairs) -> Eigenpairs:
             seconds = dict(Counter(found.seconds) + Counter(more.seconds))
-            return more._replace(seconds=seconds, solver=solver, reason=reason)
+            return more._replace(seconds=seconds, solver=more.solver or solver, reason=reason)
 
         try:
             return told(Eigenpairs(*solver.eigenpairs(laplacian, k)))

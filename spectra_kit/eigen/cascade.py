@@ -11,16 +11,14 @@ from spectra_kit._core.checked import checked
 from spectra_kit._core.threads import team
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count, check_positive, quantity
+from spectra_kit._sparse.blocks import device_clock, device_memory
 from spectra_kit._sparse.ritz import ritz_pairs
-from spectra_kit.eigen.arpack import Arpack, or_densely
-from spectra_kit.eigen.audit import counted_errors
-from spectra_kit.eigen.base import Eigenpairs, Promise, set_device
-from spectra_kit.eigen.multigrid.cascade import climb, nested
-from spectra_kit.eigen.multigrid.coarse import Coarse
-from spectra_kit.eigen.multigrid.ordering import gathered
+from spectra_kit.eigen.accuracy import counted_errors
+from spectra_kit.eigen.base import Eigenpairs, Promise, basis_with_kernel, block_size, set_device
+from spectra_kit.eigen.lanczos import cheapest, or_densely
+from spectra_kit.eigen.multigrid.cascade import coarsest_eigenpairs, nested, prolonged
+from spectra_kit.eigen.multigrid.coarse import Coarse, gathered
 from spectra_kit.eigen.multigrid.smoothing import on_device
-from spectra_kit.eigen.multigrid.solve import coarse_pairs
-from spectra_kit.eigen.starts import basis_with_kernel, block_size
 from spectra_kit.eigen.subspaces.base import Subspace
 from spectra_kit.eigen.subspaces.given import OnPoints, restricted
 from spectra_kit.operators.laplacian import Laplacian
@@ -52,7 +50,7 @@ class Cascade(OnPoints):
     coarsest : int, optional
         Points of the coarsest level, about; more where k is large. 6 for each column without it
         (2,048 at least, with a subspace). With fewer than twice as many points in all, this is
-        `Arpack`; with a subspace, the subspace on all points. Without it, `Arpack` also solves
+        `Automatic`; with a subspace, the subspace on all points. Without it, `Arpack` also solves
         parts of up to 5,000 points for fewer than 40 modes, where that costs less.
     guard : float, default 0.4
         Columns beyond k, relative to k, below the finest level; half as many there. The worse the
@@ -73,9 +71,9 @@ class Cascade(OnPoints):
 
     Notes
     -----
-    Cascadic multigrid (Bornemann and Deuflhard, 1996) for eigenpairs, on the nested Galerkin levels
-    of `levels`: Ritz values there are those of the carried functions on all points, and so bounds
-    from above.
+    Cascadic multigrid (Bornemann and Deuflhard, 1996) for eigenpairs, on nested Galerkin levels
+    (`eigen.multigrid`): Ritz values there are those of the prolonged functions on all points, and
+    so bounds from above.
 
     Errors estimated are held against counts of the eigenvalues on up to 10,000 points, and on more
     where coarse levels may not see the modes, as beside a potential. That takes a factor.
@@ -112,8 +110,6 @@ class Cascade(OnPoints):
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
-        from spectra_kit._sparse.torch_device import device_clock, device_memory
-
         block, keep = block_size(k, self.guard), block_size(k, self.guard / 2)
         clock = device_clock(self.device)
         # Without sparse products nothing depends on the order of the points.
@@ -123,13 +119,13 @@ class Cascade(OnPoints):
         few = self.coarsest is None and k <= _FEW_MODES and laplacian.n <= _FEW_POINTS
         if self.subspace is None and (few or not levels):
             why = f"an exact solution is quickest for {quantity(k, 'mode')} of {laplacian.n} points"
-            return or_densely(Arpack(seed=self.seed), laplacian, k, why)
+            return or_densely(cheapest(laplacian.n, k, seed=self.seed), laplacian, k, why)
         clock.stage("coarsen")
         bottom = levels[-1] if levels else gathers
         with device_memory(), team():
             if self.subspace is None:
                 assert isinstance(bottom, Coarse)
-                begun: tuple[Floats, Any] = coarse_pairs(bottom, block, k, seed=self.seed)
+                begun: tuple[Floats, Any] = coarsest_eigenpairs(bottom, block, k, seed=self.seed)
             else:
                 points = _points(gathers, levels)
                 subspace = restricted(self.subspace, points if order is None else order[points])
@@ -141,7 +137,7 @@ class Cascade(OnPoints):
                 wanted = block if levels else keep
                 begun = ritz_pairs(L, M, Y, wanted, least=k, rank_tol=self.rank_tol)[:2]
             clock.stage("coarse")
-            found = climb(
+            found = prolonged(
                 gathers,
                 levels,
                 *begun,

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.validate import Rebuilt, check_count
+from spectra_kit._core.validate import Rebuilt
+from spectra_kit._sparse.blocks import device_memory
 from spectra_kit.eigen.base import Eigenpairs, Promise
 from spectra_kit.eigen.cascade import Cascade
 from spectra_kit.eigen.dense import Dense
@@ -49,18 +50,12 @@ class Neo(Rebuilt):
         Of the network. The eigenpairs are those of its basis in float64.
     chunk : int, default 65536
         Points whose temporaries are held at a time.
-    cap : int, optional
+    coarsest : int, optional
         Points of a component that the network sees at most, well spread over the surface; the modes
-        are carried to all others level by level (`Cascade`). Components with fewer than twice as
-        many points are seen whole.
-    smoothing : int, default 20
-        Steps at most, each some sparse products and Rayleigh-Ritz, that smooth the modes on all
-        points; 0 leaves them as they were predicted.
-    target : float, default 1e-3
-        Smooth until the relative errors of the eigenvalues, as estimated, are below this in the
-        mean.
-    rank_tol : float, default 1e-10
-        Relative cut on the singular values of the basis; see `_sparse.orthonormalize`.
+        are carried to all others level by level, as `Cascade` does. Without it, and where there are
+        fewer than twice as many points, the network sees all.
+    max_steps, target, rank_tol
+        As of `Cascade`. 0 steps leave the modes as they were predicted.
 
     Raises
     ------
@@ -89,22 +84,19 @@ class Neo(Rebuilt):
     device: str | torch.device = "cpu"
     dtype: Literal["float32", "bfloat16", "float16"] = "float32"
     chunk: int = 65536
-    cap: int | None = None
-    smoothing: int = 20
+    coarsest: int | None = None
+    max_steps: int = 20
     target: float = 1e-3
     rank_tol: float = 1e-10
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "device", str(self.device))
-        if self.cap is not None:
-            check_count("cap", self.cap, low=100)
-        check_count("smoothing", self.smoothing, low=0)
-        _ = self._cascade  # checks the other options, and that the weights exist
+        _ = self._cascade  # checks the options, and that the weights exist
 
     def __repr__(self) -> str:
-        capped = "" if self.cap is None else f"cap={self.cap}, "
+        some = "" if self.coarsest is None else f"coarsest={self.coarsest}, "
         return (
-            f"Neo({self.subspace!r}, {capped}smoothing={self.smoothing}, target={self.target:g},"
+            f"Neo({self.subspace!r}, {some}max_steps={self.max_steps}, target={self.target:g},"
             f" rank_tol={self.rank_tol:g})"
         )
 
@@ -127,8 +119,8 @@ class Neo(Rebuilt):
         return Cascade(
             subspace=self.subspace,
             target=self.target,
-            coarsest=sys.maxsize if self.cap is None else self.cap,
-            max_steps=self.smoothing,
+            coarsest=sys.maxsize if self.coarsest is None else self.coarsest,
+            max_steps=self.max_steps,
             device=str(self.device),
             rank_tol=self.rank_tol,
         )
@@ -141,15 +133,13 @@ class Neo(Rebuilt):
 
     def begin(self, laplacians: Sequence[Laplacian], k: int) -> list[Callable[[], Eigenpairs]]:
         """See `Eigensolver.begin`: the functions of all come from one forward pass."""
-        from spectra_kit._sparse.torch_device import device_memory
-
         rest: list[Callable[[], Eigenpairs]] = [
             partial(self.eigenpairs, laplacian, k) for laplacian in laplacians
         ]
         whole = [
             i
             for i, laplacian in enumerate(laplacians)
-            if self.cap is None and not self._is_small(laplacian)
+            if self.coarsest is None and not self._is_small(laplacian)
         ]
         start = time.perf_counter()
         with device_memory():

@@ -9,9 +9,8 @@ from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
 from spectra_kit._core.validate import check_positive
 from spectra_kit._sparse.ritz import ritz_pairs
-from spectra_kit.eigen.base import Eigenpairs, Promise
+from spectra_kit.eigen.base import Eigenpairs, Promise, basis_with_kernel
 from spectra_kit.eigen.dense import Dense
-from spectra_kit.eigen.starts import basis_with_kernel
 from spectra_kit.eigen.subspaces.ambient_fourier import AmbientFourier
 from spectra_kit.eigen.subspaces.base import Subspace
 from spectra_kit.eigen.subspaces.given import OnPoints

@@ -12,11 +12,17 @@ from spectra_kit._core.clock import Clock
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, check_positive, quantity
 from spectra_kit._sparse.shift_invert import shift_invert_iteration
-from spectra_kit.eigen.base import Eigenpairs, NotConvergedError, Promise
+from spectra_kit.eigen.base import (
+    Eigenpairs,
+    NotConvergedError,
+    Promise,
+    basis_with_kernel,
+    block_size,
+    plane_waves,
+)
 from spectra_kit.eigen.dense import Dense
-from spectra_kit.eigen.starts import basis_with_kernel, block_size, plane_waves
 from spectra_kit.eigen.subspaces.base import Subspace
-from spectra_kit.eigen.subspaces.given import OnPoints
+from spectra_kit.eigen.subspaces.given import OnPoints, RandomBasis
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.operators.laplacian import Laplacian
 
@@ -102,7 +108,9 @@ class Refined(OnPoints):
         if _DENSE_RATIO * block_size(k, self.guard) >= laplacian.n:
             return Dense().eigenpairs(laplacian, k)
         clock, spacing = Clock(), laplacian.eigenvalue_spacing
-        start = plane_waves(k) if self.start is None else self.start
+        start: Subspace = plane_waves(k) if self.start is None else self.start
+        if self.start is None and not laplacian.points.any():  # of matrices that have none
+            start = RandomBasis(m=block_size(k, self.guard), seed=self.seed)
         basis = basis_with_kernel(start, laplacian)
         clock.stage("subspace")
         found = shift_invert_iteration(

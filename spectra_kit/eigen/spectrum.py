@@ -20,8 +20,7 @@ from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import Rebuilt, check_count, check_positive, frozen, quantity
 from spectra_kit._sparse.host import gram
 from spectra_kit._sparse.residuals import residual_norms
-from spectra_kit.eigen.certificate import Certificate, ModeCount
-from spectra_kit.eigen.provenance import Provenance
+from spectra_kit.eigen.certificate import Certificate, ModeCount, Provenance
 from spectra_kit.eigen.spectrum_file import REMEDY, read_spectrum_file, write_spectrum_file
 from spectra_kit.errors import InvalidInputError, InvalidSpectrumError
 from spectra_kit.operators.laplacian import Laplacian
@@ -436,17 +435,7 @@ class Spectrum(Rebuilt):
         >>> bare.certify(laplacian).certificate.n_zero_modes
         1
         """
-        residuals = self.residuals(laplacian)
-        spacing = self._spacings(laplacian)
-        certificate = Certificate(
-            residuals=residuals,
-            relative_residuals=residuals / np.maximum(self.eigenvalues, spacing),
-            orthonormality_error=self.orthonormality_error(),
-            n_zero_modes=self._kernel_modes(laplacian),
-            kernel_dimension=laplacian.kernel_dimension,
-            n_components=laplacian.n_components,
-        )
-        return self.described(certificate, self.provenance)
+        return self.described(certificate_of(self, laplacian), self.provenance)
 
     def described(self, certificate: Certificate | None, provenance: Provenance) -> Spectrum:
         """Return the same modes with these facts; the arrays, checked once, are not read again.
@@ -697,6 +686,20 @@ class Spectrum(Rebuilt):
         if count.verified == stop:
             count = replace(count, missing=0, reason="")
         return replace(count, verified=max(count.verified - start, 0))
+
+
+def certificate_of(spectrum: Spectrum, laplacian: Laplacian) -> Certificate:
+    """Return what `Spectrum.certify` finds."""
+    residuals = spectrum.residuals(laplacian)
+    spacing = spectrum._spacings(laplacian)
+    return Certificate(
+        residuals=residuals,
+        relative_residuals=residuals / np.maximum(spectrum.eigenvalues, spacing),
+        orthonormality_error=spectrum.orthonormality_error(),
+        n_zero_modes=spectrum._kernel_modes(laplacian),
+        kernel_dimension=laplacian.kernel_dimension,
+        n_components=laplacian.n_components,
+    )
 
 
 def _check_covers(certificate: Certificate | None, k: int) -> None:

@@ -13,9 +13,8 @@ from spectra_kit._core.clock import Clock
 from spectra_kit._core.types import Floats
 from spectra_kit._sparse import SparseLDL
 from spectra_kit._sparse.host import gram
-from spectra_kit.eigen.bounds import rounding, with_bounds
+from spectra_kit.eigen.accuracy import rounding, with_bounds, with_excess
 from spectra_kit.eigen.certificate import ModeCount
-from spectra_kit.eigen.doubts import with_excess
 from spectra_kit.eigen.spectrum import Spectrum
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.operators.laplacian import Laplacian
@@ -92,8 +91,9 @@ def verify(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
     1
     """
     clock = Clock()
-    certified = with_excess(spectrum.certify(laplacian), laplacian)
+    certified = spectrum.certify(laplacian)
     assert certified.certificate is not None
+    certificate = with_excess(certified.certificate, certified, laplacian)
     count = _counted(certified, laplacian, thorough=True)
     before = spectrum.certificate
     if before is not None and before.count is not None:
@@ -101,9 +101,9 @@ def verify(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
     seconds = {**spectrum.provenance.seconds, "verify": clock.total}
     # Estimates know nothing of a mode that was passed over.
     errors = None if before is None or count.missing or before.bounded.any() else before.errors
-    certificate = replace(certified.certificate, count=count, errors=errors)
+    certificate = replace(certificate, count=count, errors=errors)
     provenance = replace(spectrum.provenance, seconds=seconds)
-    return with_bounds(certified.described(certificate, provenance), laplacian)
+    return certified.described(with_bounds(certificate, certified, laplacian), provenance)
 
 
 def count_modes(spectrum: Spectrum, laplacian: Laplacian) -> ModeCount:

@@ -70,6 +70,8 @@ change with, its ``invariant_to`` tells, and tests hold it to it.
 (30,)
 """
 
+from typing import TYPE_CHECKING, Any
+
 from spectra_kit.features.base import Embedding, Surface, embed, embed_shape
 from spectra_kit.features.columns import normalize_descriptors
 from spectra_kit.features.distances import (
@@ -78,13 +80,6 @@ from spectra_kit.features.distances import (
     diffusion_distances,
     farthest_points,
     global_point_signature,
-)
-from spectra_kit.features.functions import (
-    Coordinates,
-    NeoFunctions,
-    PlaneWaves,
-    PositionalEncoding,
-    embed_batch,
 )
 from spectra_kit.features.grids import heat_times, wave_energies
 from spectra_kit.features.heat import (
@@ -95,6 +90,15 @@ from spectra_kit.features.heat import (
 from spectra_kit.features.shape_dna import shape_dna, shape_dna_distance, shape_dna_distances
 from spectra_kit.features.spectral import GlobalPoints, HeatSignature, ShapeDNA, WaveSignature
 from spectra_kit.features.wave import landmark_wave_kernel_signature, wave_kernel_signature
+
+if TYPE_CHECKING:
+    from spectra_kit.features.functions import (
+        Coordinates,
+        NeoFunctions,
+        PlaneWaves,
+        PositionalEncoding,
+        embed_batch,
+    )
 
 __all__ = [
     "Coordinates",
@@ -127,3 +131,12 @@ __all__ = [
     "wave_energies",
     "wave_kernel_signature",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is computed with torch when it is asked for: the others need none."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from spectra_kit.features import functions
+
+    return getattr(functions, name)

@@ -1,11 +1,12 @@
 """Geodesic distances: by the heat method, exactly, or from the modes alone."""
 
+from spectra_kit.geodesics.edges import edge_graph, pair_distances
 from spectra_kit.geodesics.exact import exact_distances
 from spectra_kit.geodesics.heat import HeatGeodesics, geodesic_distance
 from spectra_kit.geodesics.heat_step import Heat
 from spectra_kit.geodesics.matrix import distance_matrix
 from spectra_kit.geodesics.result import DistanceField
-from spectra_kit.geodesics.solvers import Automatic, Direct, Exact, Iterative
+from spectra_kit.geodesics.solvers import Direct, Exact, Iterative, WithinMemory
 from spectra_kit.geodesics.sources import FacePoint, Sources, check_sources, nearest_source
 from spectra_kit.geodesics.spectral import (
     smallest_spectral_time,
@@ -14,7 +15,6 @@ from spectra_kit.geodesics.spectral import (
 )
 
 __all__ = [
-    "Automatic",
     "Direct",
     "DistanceField",
     "Exact",
@@ -23,11 +23,14 @@ __all__ = [
     "HeatGeodesics",
     "Iterative",
     "Sources",
+    "WithinMemory",
     "check_sources",
     "distance_matrix",
+    "edge_graph",
     "exact_distances",
     "geodesic_distance",
     "nearest_source",
+    "pair_distances",
     "smallest_spectral_time",
     "spectral_distance",
     "spectral_heat",

@@ -18,9 +18,7 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from spectra_kit._core.compiled import compiled
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from spectra_kit._core.types import Floats, Ints
 
 _TIE = 1e-10  # relative; two paths as long as each other must both go on
 _TOUCH = 1e-11  # of a side; a ray this near to a vertex meets it

@@ -5,20 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
-from spectra_kit._core.types import Floats
+from spectra_kit._core.types import Floats, Ints32
 from spectra_kit.geodesics._kernels import residual, scaled_entries, solve_scaled
-
-Ints = NDArray[np.int32]
 
 _RISE = 16  # iterations that suffice unless triangles differ much in size
 _MOST = 300
 _NARROW = 200  # binary orders of magnitude around 1 that need no new exponents
 
 
-def _scaled(matrix: sparse.csr_array, exponents: Ints) -> tuple[Floats, Floats]:
+def _scaled(matrix: sparse.csr_array, exponents: Ints32) -> tuple[Floats, Floats]:
     """Return the entries of a matrix in the scaling of its columns, and in that of its rows."""
     forward, backward = np.empty_like(matrix.data), np.empty_like(matrix.data)
     scaled_entries(matrix.indptr, matrix.indices, matrix.data, exponents, forward, backward)
@@ -38,7 +35,7 @@ class ScaledSystem:
         lower: sparse.csr_array,
         inverse: Floats,
         rhs: Floats,
-        exponents: Ints,
+        exponents: Ints32,
     ) -> None:
         self._matrix, self._lower, self._inverse, self._rhs = matrix, lower, inverse, rhs
         self.exponents = exponents
@@ -76,7 +73,7 @@ class Iterate:
     """Where an iteration ended: ``u = 2**exponents x``."""
 
     x: Floats
-    exponents: Ints
+    exponents: Ints32
     share: float
     iterations: int
 
@@ -86,7 +83,7 @@ def iterate(
     lower: sparse.csr_array,
     inverse: Floats,
     rhs: Floats,
-    exponents: Ints,
+    exponents: Ints32,
     *,
     accuracy: float,
 ) -> Iterate:

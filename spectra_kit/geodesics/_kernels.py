@@ -14,9 +14,7 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from spectra_kit._core.compiled import compiled
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32] | NDArray[np.int64]
+from spectra_kit._core.types import Floats, Indices
 
 _MOST = 1023
 _POWERS = 2.0 ** np.arange(-1074.0, _MOST + 1)  # a look-up is quicker than `ldexp`
@@ -30,7 +28,12 @@ def _power(exponent: int) -> float:
 
 @compiled()
 def edge_costs(
-    starts: Ints, columns: Ints, entries: Floats, diagonal: Floats, points: Floats, decay: float
+    starts: Indices,
+    columns: Indices,
+    entries: Floats,
+    diagonal: Floats,
+    points: Floats,
+    decay: float,
 ) -> Floats:
     """Return how much ``-log u`` may grow along each entry of ``M + t L`` (CSR), at most.
 
@@ -58,7 +61,12 @@ def edge_costs(
 
 @compiled()
 def scaled_entries(
-    starts: Ints, columns: Ints, entries: Floats, exponents: Ints, forward: Floats, backward: Floats
+    starts: Indices,
+    columns: Indices,
+    entries: Floats,
+    exponents: Indices,
+    forward: Floats,
+    backward: Floats,
 ) -> None:
     """Write ``a_ij 2**(e_j - e_i)`` to `forward` and ``a_ij 2**(e_i - e_j)`` to `backward`."""
     for i in range(len(starts) - 1):
@@ -70,7 +78,7 @@ def scaled_entries(
 
 @compiled()
 def residual(
-    starts: Ints, columns: Ints, entries: Floats, rhs: Floats, x: Floats, out: Floats
+    starts: Indices, columns: Indices, entries: Floats, rhs: Floats, x: Floats, out: Floats
 ) -> float:
     """Write ``rhs - A x`` to `out`; return its largest share of the sizes of what was summed.
 
@@ -91,8 +99,8 @@ def residual(
 
 @compiled()
 def solve_scaled(
-    starts: Ints,
-    columns: Ints,
+    starts: Indices,
+    columns: Indices,
     forward: Floats,
     backward: Floats,
     inverse: Floats,
@@ -120,11 +128,11 @@ def solve_scaled(
 
 @compiled(error_model="numpy")
 def divergence_of_directions(
-    corners: Ints,
+    corners: Indices,
     lengths: Floats,
     apex: Floats,
     values: Floats,
-    exponents: Ints,
+    exponents: Indices,
     flat: float,
     sources: NDArray[np.bool_],
 ) -> tuple[Floats, int]:

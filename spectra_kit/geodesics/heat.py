@@ -13,24 +13,25 @@ from numpy.typing import ArrayLike
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
+from spectra_kit._core.records import frozen
 from spectra_kit._core.threads import in_threads, ranges, thread_count
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import check_positive, frozen, warn
+from spectra_kit._core.validate import check_positive
+from spectra_kit._core.warn import warn
 from spectra_kit._sparse.constant_kernel import ConstantKernel
 from spectra_kit._sparse.grounded import GroundedCholesky
 from spectra_kit._sparse.solution import LinearSolution
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import ConvergenceError, DoubtfulDistanceWarning, InvalidInputError
-from spectra_kit.geodesics.exact import exact_distances
+from spectra_kit.geodesics.exact import EXACT, exact_field, exact_or_none
 from spectra_kit.geodesics.heat_step import Heat, HeatStep
 from spectra_kit.geodesics.result import DistanceField
 from spectra_kit.geodesics.solvers import (
-    Automatic,
     Direct,
-    Exact,
     Iterative,
     IterativePoisson,
     Solver,
+    WithinMemory,
 )
 from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
 from spectra_kit.geodesics.system import COARSER, System
@@ -43,10 +44,6 @@ Boundary = Literal["neumann", "dirichlet", "average"]
 # Share of the points nearer to a source than sqrt(t) that deserves a warning, and how many of them
 # are few for each source.
 _BLURRED, _NEAR = 0.25, 20
-# Vertices up to which exact distances cost no more than is noticed. One field takes 0.013, 0.030
-# and 0.067 s of one core at 500, 1,000 and 2,000 vertices (geometric means of four models; at most
-# 0.076), while the heat method takes 0.008, 0.009 and 0.014 s before the first source.
-EXACT = 2_000
 # Mean relative error that deserves a warning: between 2.5 %, as of well resolved models, and 5 %.
 _OFF = 0.0375
 _TOGETHER = 8  # sources that a thread solves for at once, as `SparseLDL` does best
@@ -75,7 +72,7 @@ class HeatGeodesics:
     spectrum : Spectrum, optional
         Modes of the geometry, by whatever solver: they make an iterative solver quicker, and do
         not change the distances.
-    solver : Direct, Iterative or Automatic, default Automatic()
+    solver : Direct, Iterative or WithinMemory, default WithinMemory()
         How linear systems are solved.
     time_coefficient : float, default 1.0
         The time of the heat step is this times the square of the typical edge of each component
@@ -93,12 +90,6 @@ class HeatGeodesics:
         What the distances are measured on.
     time_steps : ndarray of shape (n_components,)
         Of each component of `triangulation`, in length^2.
-
-    Raises
-    ------
-    InvalidInputError
-        If an argument is of another kind, `spectrum` has another number of points, or
-        `intrinsic_delaunay` refuses the geometry.
 
     Warns
     -----
@@ -144,7 +135,7 @@ class HeatGeodesics:
         geometry: Geometry | IntrinsicTriangulation,
         spectrum: Spectrum | None = None,
         *,
-        solver: Solver = Automatic(),  # noqa: B008
+        solver: Solver = WithinMemory(),  # noqa: B008
         time_coefficient: float = 1.0,
         boundary: Boundary = "neumann",
     ) -> None:
@@ -171,7 +162,7 @@ class HeatGeodesics:
         self._time_coefficient = time_coefficient
         self._chosen: tuple[Direct | Iterative, str] = (
             solver.choose(self.triangulation.n)
-            if isinstance(solver, Automatic)
+            if isinstance(solver, WithinMemory)
             else (solver, "as asked")
         )
         self._prepared: dict[int | None, _Ready] = {}  # by component; None for all
@@ -186,60 +177,25 @@ class HeatGeodesics:
     def distance(self, sources: SourcesLike, *, weights: ArrayLike | None = None) -> DistanceField:
         """Measure the distance of every point to the nearest of several sources.
 
-        Parameters
-        ----------
-        sources : int, FacePoint, sequence or array of these, mask, or Sources
-            See `check_sources`.
-        weights : array_like of shape (s,), optional
-            Heat that each source emits, 1 by default: w lets its isolines run ahead by about
-            ``sqrt(t) log w``.
+        Sources are what `check_sources` takes. `weights` (s,) is the heat that each emits, 1 by
+        default: w lets its isolines run ahead by about ``sqrt(t) log w``.
 
-        Returns
-        -------
-        DistanceField
-            Zero on average over the sources of a component, by what the heat method says there (a
-            source on a face counts by its corners); then set to zero at sources that are vertices,
-            and where it is below. Infinite where no source can be reached. The minimum of the
-            fields of single sources has less error than one field of several.
+        The field is zero on average over the sources of a component, by what the heat method says
+        there (a source on a face counts by its corners); then set to zero at sources that are
+        vertices, and where it is below. Infinite where no source can be reached. The minimum of the
+        fields of single sources has less error than one field of several.
 
-        Raises
-        ------
-        InvalidInputError
-            If there is no source, one is out of range or in a vertex without faces; if
-            ``boundary="dirichlet"`` and all those of a component are on its boundary, or it cuts
-            points off from them.
-        ConvergenceError
-            If an iterative solver stops short: `partial` is the `DistanceField` of what it had,
-            or the `Heat` if that was the heat step.
+        An iterative solver that stops short raises `ConvergenceError`: its `partial` is the
+        `DistanceField` of what it had, or the `Heat` if that was the heat step.
         """
         return self._fields([check_sources(sources, self.geometry, weights)])[0]
 
     def distances(self, sources: Sequence[SourcesLike]) -> list[DistanceField]:
         """Measure a distance field for each of many sources, or sets of sources.
 
-        Parameters
-        ----------
-        sources : sequence of whatever `distance` takes, or array of int of shape (s,)
-            One after the other.
-
-        Returns
-        -------
-        list of DistanceField
-            Bit by bit those of `distance`, but sooner where the solver is direct: several are
-            solved for at once, and their seconds are an even share of what that took.
-
-        Raises
-        ------
-        InvalidInputError, ConvergenceError
-            As from `distance`; sources are all checked before the first field is measured.
-
-        Examples
-        --------
-        >>> from spectra_kit import HeatGeodesics
-        >>> from spectra_kit.geometry import sphere
-        >>> heat = HeatGeodesics(sphere(subdivisions=3).geometry)
-        >>> [field.distance.shape for field in heat.distances([0, [1, 2]])]
-        [(642,), (642,)]
+        Bit by bit those of `distance`, but sooner where the solver is direct: several are solved
+        for at once, and their seconds are an even share of what that took. All sources are checked
+        first.
         """
         checked = [check_sources(one, self.geometry) for one in sources]
         return self._fields(checked)
@@ -350,7 +306,7 @@ class HeatGeodesics:
         if part not in self._errors:
             first = int(field.sources.vertices[0])
             alone = check_sources(first, self.geometry)
-            exact = _exact(self.geometry, alone)
+            exact = exact_or_none(self.geometry, alone)
             if exact is None:
                 return
             heat = self._block(self._ready(self._component(alone)), [alone])[0].distance
@@ -384,7 +340,7 @@ class HeatGeodesics:
         if not isinstance(options, Direct):
             return self._factorised(system, options, reason, 0.0, clock)
         gigabytes = (1 + len(self._kinds(system))) * system.elimination.gigabytes
-        if isinstance(self._solver, Automatic):
+        if isinstance(self._solver, WithinMemory):
             options, reason = self._solver.choose(len(system.order), gigabytes)
             if not isinstance(options, Direct):  # whose modes are those of all points
                 if component is not None:
@@ -528,33 +484,6 @@ def _cold() -> InvalidInputError:
     )
 
 
-def _exact(mesh: TriangleMesh, sources: Sources) -> Floats | None:
-    """Return exact distances from vertices; None where triangles are too thin for them."""
-    try:
-        return exact_distances(mesh, sources.vertices)
-    except ConvergenceError:
-        return None
-
-
-def exact_field(
-    geometry: Geometry | IntrinsicTriangulation, sources: SourcesLike
-) -> DistanceField | None:
-    """Measure exact distances where they cost little and can be had, None elsewhere."""
-    if not isinstance(geometry, TriangleMesh) or geometry.n > EXACT:
-        return None
-    clock, checked = Clock(), check_sources(sources, geometry)
-    exact = None if checked.offsets.any() else _exact(geometry, checked)
-    if exact is None:
-        return None
-    return DistanceField(
-        distance=exact,
-        sources=checked,
-        solver=Exact(),
-        reason=f"at most {EXACT} vertices",
-        seconds={"exact": clock.total},
-    )
-
-
 @checked
 def geodesic_distance(
     geometry: Geometry | IntrinsicTriangulation,
@@ -562,7 +491,7 @@ def geodesic_distance(
     *,
     spectrum: Spectrum | None = None,
     weights: ArrayLike | None = None,
-    solver: Solver = Automatic(),  # noqa: B008
+    solver: Solver = WithinMemory(),  # noqa: B008
     time_coefficient: float = 1.0,
     boundary: Boundary = "neumann",
 ) -> DistanceField:
@@ -578,8 +507,8 @@ def geodesic_distance(
         Modes of the geometry, to be quicker.
     weights : array_like of shape (s,), optional
         Heat that each source emits, 1 by default.
-    solver : Direct, Iterative or Automatic, default Automatic()
-        How linear systems are solved. Where that is automatic, none is on a mesh of at most 2,000
+    solver : Direct, Iterative or WithinMemory, default WithinMemory()
+        How linear systems are solved. With the default, none is on a mesh of at most 2,000
         vertices: they take `exact_distances`, unless a source lies inside a face or another of
         the options below is given.
     time_coefficient : float, default 1.0
@@ -592,16 +521,11 @@ def geodesic_distance(
     DistanceField
         The distances, and how they were found.
 
-    Raises
-    ------
-    InvalidInputError, ConvergenceError
-        As those do.
-
     See Also
     --------
     exact_distances : Of the polyhedron, exactly.
     spectral_distance : Roughly, from modes alone.
-    spectra_kit.maps.geodesic_distances : Between pairs of vertices, along edges.
+    spectra_kit.geodesics.pair_distances : Between pairs of vertices, along edges.
 
     Examples
     --------
@@ -612,7 +536,7 @@ def geodesic_distance(
     >>> geodesic_distance(rectangle(n=3000).geometry, 0).choice
     'direct: factors of 3... points fit into 4 GiB'
     """
-    plain = isinstance(solver, Automatic) and time_coefficient == 1 and boundary == "neumann"
+    plain = isinstance(solver, WithinMemory) and time_coefficient == 1 and boundary == "neumann"
     if plain and spectrum is None and weights is None:
         found = exact_field(geometry, sources)
         if found is not None and isinstance(geometry, TriangleMesh):

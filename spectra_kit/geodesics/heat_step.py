@@ -14,13 +14,11 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
-from spectra_kit._core.types import Floats
+from spectra_kit._core.types import Floats, Ints32
 from spectra_kit._sparse.elimination import Elimination
 from spectra_kit._sparse.incomplete_cholesky import incomplete_factor
 from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.errors import ConvergenceError, InvalidInputError
-
-Ints = NDArray[np.int32]
 
 _DROP = 1e-4  # of the incomplete factor: some 13 iterations, and three times the entries of L
 _ACCURACY = 1e-10  # componentwise backward error
@@ -53,7 +51,7 @@ class Heat:
     """
 
     values: Floats
-    exponents: Ints
+    exponents: Ints32
     method: str
     iterations: int
     backward_error: float
@@ -68,53 +66,13 @@ class Heat:
     def moved(self, move: Callable[[NDArray[Any]], NDArray[Any]]) -> Heat:
         """Return the same on points in another order or number.
 
-        Parameters
-        ----------
-        move : callable
-            From an array of shape (n,) on these points to one of shape (m,) on the others, such as
-            by an index; called with values and with exponents.
-
-        Returns
-        -------
-        Heat
-            On m points.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from spectra_kit.geodesics import Heat
-        >>> heat = Heat(np.array([1.0, 0.5]), np.array([0, -2000]), "Cholesky", 0, 0.0, 0.0)
-        >>> heat.moved(lambda values: values[::-1]).values
-        array([0.5, 1. ])
+        `move` takes an array (n,) on these points to one (m,) on the others, such as by an index;
+        it is called with values and with exponents.
         """
         return replace(self, values=move(self.values), exponents=move(self.exponents))
 
     def spread(self, inside: NDArray[np.bool_]) -> Heat:
-        """Return the same on all points, of which these are those `inside`; the others are cold.
-
-        Parameters
-        ----------
-        inside : ndarray of bool, shape (m,)
-            Of all points, with n of them in it.
-
-        Returns
-        -------
-        Heat
-            On m points.
-
-        Raises
-        ------
-        InvalidInputError
-            If there are not n points in `inside`.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from spectra_kit.geodesics import Heat
-        >>> heat = Heat(np.array([1.0, 0.5]), np.array([0, -2000]), "Cholesky", 0, 0.0, 0.0)
-        >>> heat.spread(np.array([True, False, True])).values
-        array([1. , 0. , 0.5])
-        """
+        """Return the same on all points, of which these are those `inside`; the others are cold."""
         inside = np.asarray(inside, dtype=bool)
         if inside.ndim != 1 or inside.sum() != len(self.values):
             raise InvalidInputError(
@@ -127,26 +85,7 @@ class Heat:
         return self.moved(lambda values: np.where(inside, values[place], 0).astype(values.dtype))
 
     def plus(self, other: Heat) -> Heat:
-        """Return the sum of two heats.
-
-        Parameters
-        ----------
-        other : Heat
-            On the same n points.
-
-        Returns
-        -------
-        Heat
-            With iterations and seconds of both, and the larger of their errors.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from spectra_kit.geodesics import Heat
-        >>> heat = Heat(np.array([1.0, 0.5]), np.array([0, -2000]), "Cholesky", 0, 0.0, 0.0)
-        >>> bool(np.allclose(heat.plus(heat).log, heat.log + np.log(2)))
-        True
-        """
+        """Return the sum of two heats, with iterations and seconds of both and the larger error."""
         low = np.iinfo(np.int32).min // 4
         exponents = np.maximum(*(np.where(h.values > 0, h.exponents, low) for h in (self, other)))
         exponents = np.where(exponents > low, exponents, 0)
@@ -250,11 +189,8 @@ class HeatStep:
     def solve(self, rhs: Floats) -> Heat:
         """Return u for b = `rhs` (n,), not negative and not zero.
 
-        Raises
-        ------
-        ConvergenceError
-            If the iteration does not reach its accuracy, as it may not where triangles differ in
-            size by orders of magnitude.
+        `ConvergenceError` where the iteration does not reach its accuracy, as it may not where
+        triangles differ in size by orders of magnitude.
         """
         return self.solve_all([rhs])[0]
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.threads import ranges
-from spectra_kit._core.validate import check_count, hearing, warn
+from spectra_kit._core.validate import check_count
+from spectra_kit._core.warn import hearing, warn
 from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.heat import HeatGeodesics, solved_together
 from spectra_kit.geodesics.sources import SourcesLike, check_sources
@@ -62,9 +63,6 @@ def distance_matrix(
 
     Raises
     ------
-    InvalidInputError
-        If a source is refused, `out` is of another shape or type, `symmetric` is asked of some
-        sources, or `start` is beyond the sources, or given without `out`.
     ConvergenceError
         As from `HeatGeodesics.distance`; the rows before are in `out`.
 
@@ -77,7 +75,7 @@ def distance_matrix(
     --------
     HeatGeodesics.distances : With all that is known of each field.
     exact_distances : From one source, exactly.
-    spectra_kit.maps.geodesic_distances : Between pairs of points.
+    spectra_kit.geodesics.pair_distances : Between pairs of points.
 
     Notes
     -----
@@ -88,6 +86,10 @@ def distance_matrix(
     models of 3,000 to 11,000 points, for all pairs of 30 points of each, by 1.83 % of the mean
     distance instead of 1.90 % (at worst 13.8 % either way), while both directions differ by 0.86 %
     (6.2 %). All n fields are needed for either, as a field comes whole or not at all.
+
+    On disk, `out` is ``np.lib.format.open_memmap(path, "w+", np.float32, (s, n))``. To go on where
+    a call was interrupted, open it with "r+", and `start` at the last row that has anything in it,
+    ``np.flatnonzero(out.any(axis=1))[-1]``.
 
     Both halves are kept: whoever asks for the distances from a point reads a row. The condensed
     half that scipy's clustering takes is ``scipy.spatial.distance.squareform(D, checks=False)``.
@@ -100,19 +102,6 @@ def distance_matrix(
     >>> D = sk.geodesics.distance_matrix(ball)
     >>> D.shape, bool((D == D.T).all()), float(D.max())
     ((642, 642), True, 3.0...)
-
-    On disk, from some points; and on from where a call was interrupted, by the last row that has
-    anything in it:
-
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> path, some = Path(tempfile.mkdtemp()) / "distances.npy", range(0, 642, 10)
-    >>> shape = (len(some), ball.n)
-    >>> out = np.lib.format.open_memmap(path, "w+", np.float32, shape)
-    >>> _ = sk.geodesics.distance_matrix(ball, some, out=out)
-    >>> out = np.lib.format.open_memmap(path, "r+")
-    >>> last = int(np.flatnonzero(out.any(axis=1))[-1])
-    >>> D = sk.geodesics.distance_matrix(ball, some, out=out, start=last)
     """
     heat = geometry if isinstance(geometry, HeatGeodesics) else HeatGeodesics(geometry)
     n = heat.triangulation.n

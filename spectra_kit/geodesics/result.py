@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Rebuilt, frozen
 from spectra_kit._core.shown import draw
 from spectra_kit._core.types import Floats
-from spectra_kit._core.validate import Rebuilt, frozen
 from spectra_kit._sparse.solution import LinearSolution
 from spectra_kit.geodesics.heat_step import Heat
 from spectra_kit.geodesics.solvers import Direct, Exact, Iterative

@@ -1,4 +1,4 @@
-"""How the linear systems of the heat method are solved: `Direct`, `Iterative`, `Automatic`."""
+"""How the linear systems of the heat method are solved: `Direct`, `Iterative`, `WithinMemory`."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ class Iterative:
 
 @checked
 @dataclass(frozen=True, kw_only=True)
-class Automatic:
+class WithinMemory:
     """`Direct` where complete factors fit into memory, `Iterative` elsewhere.
 
     The factors take about as long as the iterations for one source.
@@ -144,8 +144,8 @@ class Automatic:
 
     Examples
     --------
-    >>> from spectra_kit.geodesics import Automatic
-    >>> Automatic().choose(100_000)
+    >>> from spectra_kit.geodesics import WithinMemory
+    >>> WithinMemory().choose(100_000)
     (Direct(), 'factors of 100000 points fit into 4 GiB')
     """
 
@@ -177,8 +177,8 @@ class Automatic:
 
         Examples
         --------
-        >>> from spectra_kit.geodesics import Automatic
-        >>> Automatic(modes=12).choose(100_000, gigabytes=7.5)[1]
+        >>> from spectra_kit.geodesics import WithinMemory
+        >>> WithinMemory(modes=12).choose(100_000, gigabytes=7.5)[1]
         'factors would take 7.5 GiB, more than 4'
         """
         needed = 2 * factor_gigabytes(n) if gigabytes is None else gigabytes
@@ -188,7 +188,7 @@ class Automatic:
         return Iterative(modes=self.modes, rtol=self.rtol), reason
 
 
-Solver = Direct | Iterative | Automatic
+Solver = Direct | Iterative | WithinMemory
 
 
 def _check_rtol(rtol: float) -> None:

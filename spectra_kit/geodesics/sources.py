@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import frozen
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import check_count, check_indices, frozen, real_array
+from spectra_kit._core.validate import check_count, check_indices, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh
-from spectra_kit.geometry.units import box_unit
+from spectra_kit.geometry.shapes import box_unit
 
 _FAR = 1e6  # times the largest coordinate of the points
 #: What rounding may do to barycentric coordinates.
@@ -32,11 +33,6 @@ class FacePoint:
         Index of the face.
     barycentric : array_like of shape (3,)
         Weights of the corners of the face, in its order: not negative, and of sum 1.
-
-    Raises
-    ------
-    InvalidInputError
-        If `face` is negative, or the coordinates are not barycentric.
 
     See Also
     --------
@@ -85,23 +81,7 @@ class FacePoint:
         object.__setattr__(self, "barycentric", tuple((weights / weights.sum()).tolist()))
 
     def position(self, mesh: TriangleMesh) -> Floats:
-        """Return the coordinates of the point.
-
-        Parameters
-        ----------
-        mesh : TriangleMesh
-            Whose faces it counts.
-
-        Returns
-        -------
-        ndarray of shape (3,)
-            In the unit of `mesh`.
-
-        Raises
-        ------
-        InvalidInputError
-            If `mesh` has no such face.
-        """
+        """Return the coordinates (3,) of the point on a mesh, whose faces it counts."""
         return np.asarray(np.array(self.barycentric) @ mesh.points[_corners(self, mesh)])
 
 
@@ -137,21 +117,7 @@ class Sources:
     offsets: Floats
 
     def right_hand_side(self) -> Floats:
-        """Return the heat at all points: the right side of the heat step.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            Integrated, as a mass is.
-
-        Examples
-        --------
-        >>> from spectra_kit.geodesics import check_sources
-        >>> from spectra_kit.geometry import PointCloud
-        >>> cloud = PointCloud([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
-        >>> check_sources(2, cloud).right_hand_side()
-        array([0., 0., 1.])
-        """
+        """Return the heat (n,) at all points, integrated: the right side of the step."""
         heat = np.zeros(self.n)
         heat[self.vertices] = self.heat
         return heat
@@ -192,12 +158,6 @@ def check_sources(
     Sources
         The heat of a point of a face goes to its corners by its barycentric coordinates, so that
         one at a corner is that vertex, and the heat stays linear across the face.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no source, one is out of range, at a vertex without a face or on a face of what
-        has none, or `weights` are not s positive numbers.
 
     Examples
     --------
@@ -258,11 +218,6 @@ def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint
     FacePoint or int
         The nearest point of the faces of a mesh, put on a corner or side within 1e-9 of it (in
         barycentric coordinates); the index of the nearest point of a cloud.
-
-    Raises
-    ------
-    InvalidInputError
-        If `coordinate` has another shape or is not finite, or all faces have zero area.
 
     Examples
     --------

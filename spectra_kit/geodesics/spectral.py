@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats
-from spectra_kit._core.validate import check_positive, quantity, warn
+from spectra_kit._core.validate import check_positive, quantity
+from spectra_kit._core.warn import warn
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
@@ -43,11 +44,6 @@ def spectral_heat(
         ``sum_i g(lambda_i) u_i <u_i, heat>``, in units of the heat over length^2, with
         ``g = exp(-t lambda)``, or ``1 / (1 + t lambda)`` for the step. For short times the
         truncated sum oscillates around zero.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no source, one is out of range, or `time` is not positive.
 
     Notes
     -----
@@ -87,11 +83,6 @@ def smallest_spectral_time(spectrum: Spectrum, sources: SourcesLike) -> float:
     float
         In length^2: from when on `spectral_heat` is positive on 99 per cent of the components
         with a source, within 5 per cent.
-
-    Raises
-    ------
-    InvalidInputError
-        If all modes are zero modes, there is no source, or one is where there is no zero mode.
 
     Notes
     -----
@@ -143,12 +134,6 @@ def spectral_distance(
     ndarray of shape (n,)
         In length: 0 at sources, never shorter than the straight line, infinite on components
         without a source.
-
-    Raises
-    ------
-    InvalidInputError
-        If `spectrum` and `triangulation` differ in points or components, there is no source, one
-        is out of range, or `time` is not positive.
 
     Warns
     -----

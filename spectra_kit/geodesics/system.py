@@ -12,16 +12,14 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from spectra_kit._core.types import Bools, Floats
-from spectra_kit._core.validate import warn
+from spectra_kit._core.types import Bools, Floats, Ints32
+from spectra_kit._core.warn import warn
 from spectra_kit._sparse.elimination import Elimination
 from spectra_kit._sparse.incomplete_cholesky import untidy
 from spectra_kit.errors import DoubtfulDistanceWarning
 from spectra_kit.geodesics.heat_step import Heat
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation
 from spectra_kit.operators.triangle_calculus import apexes, areas
-
-Ints = NDArray[np.int32]
 
 _FLAT = 1e-9  # relative differences of heat in a triangle that are no direction, but rounding
 _RARE = 0.01  # share of the surface
@@ -46,7 +44,7 @@ class System:
     mass: Floats
     points: Floats
     labels: NDArray[np.int64]
-    corners: Ints
+    corners: Ints32
     lengths: Floats
     share: float
     inside: Bools  # not on the boundary
@@ -110,7 +108,7 @@ class System:
         return np.asarray(worth[np.searchsorted(worth, sizes).clip(max=len(worth) - 1)])
 
     @cached_property
-    def _triangles(self) -> dict[int, tuple[Ints, Floats, Floats]]:
+    def _triangles(self) -> dict[int, tuple[Ints32, Floats, Floats]]:
         """Corners, lengths and apexes of the triangles of each of `sizes`."""
         whole = self.corners, self.lengths, apexes(self.lengths)
         found = np.unique(self.sizes).tolist()

@@ -7,15 +7,10 @@
 
 Every step is optional and returns a new object; nothing is repaired, moved or scaled unasked.
 
->>> from pathlib import Path
->>> from tempfile import TemporaryDirectory
->>> from spectra_kit.geometry import TriangleMesh, diagnose, normalize, read, repair, sample, write
->>> square = TriangleMesh(
+>>> from spectra_kit.geometry import TriangleMesh, diagnose, normalize, repair, sample
+>>> mesh = TriangleMesh(
 ...     [[0, 0, 0], [900, 0, 0], [900, 900, 0], [0, 900, 0], [1, 2, 3]], [[0, 1, 2], [0, 2, 3]]
 ... )
->>> with TemporaryDirectory() as folder:
-...     write(square, Path(folder) / "square.obj")
-...     mesh = read(Path(folder) / "square.obj")
 >>> print(*diagnose(mesh).problems)
 1 vertex has no face: mesh.without_unreferenced()
 >>> repaired = repair(mesh)
@@ -30,15 +25,13 @@ Every step is optional and returns a new object; nothing is repaired, moved or s
 
 from spectra_kit.geometry.adapt import as_geometry
 from spectra_kit.geometry.components import Component, components, largest_component
-from spectra_kit.geometry.creature import creature
+from spectra_kit.geometry.creature import creature, creature_pair, mirrored, permuted
 from spectra_kit.geometry.diagnose import Diagnosis, Problem, diagnose
 from spectra_kit.geometry.io import read, write
-from spectra_kit.geometry.nan_points import without_nan
 from spectra_kit.geometry.normalize import Normalization, normalize
 from spectra_kit.geometry.normals import estimate_normals, orient_normals
-from spectra_kit.geometry.poses import creature_pair, mirrored, permuted
 from spectra_kit.geometry.reference import Reference, disk, rectangle, sphere, torus
-from spectra_kit.geometry.repair import Repaired, RepairReport, repair
+from spectra_kit.geometry.repair import Repaired, RepairReport, repair, without_nan
 from spectra_kit.geometry.sampling import GaussianDensity, Samples, sample, sample_with_origin
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.validate import quantity, warn
+from spectra_kit._core.validate import quantity
+from spectra_kit._core.warn import warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry.io import read
 from spectra_kit.geometry.polygons import Polygons, surface
@@ -41,11 +42,6 @@ def as_geometry(thing: Any) -> Geometry:
     TriangleMesh or PointCloud
         In the unit of `thing`. Polygons become triangles. Planar vertices (n, 2) with faces get
         z = 0.
-
-    Raises
-    ------
-    InvalidInputError
-        If it is none of these, a file cannot be read, or the arrays are no valid geometry.
 
     Warns
     -----

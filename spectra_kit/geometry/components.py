@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Brief, frozen
 from spectra_kit._core.types import Ints
-from spectra_kit._core.validate import Brief, frozen
-from spectra_kit.geometry.shapes import TriangleMesh
-from spectra_kit.geometry.units import box_unit
+from spectra_kit.geometry.shapes import TriangleMesh, box_unit
 
 
 @checked

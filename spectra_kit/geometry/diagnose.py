@@ -12,8 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._core.checked import checked
 from spectra_kit.geometry.seams import seams
-from spectra_kit.geometry.shapes import Geometry, TriangleMesh, distinct_rows
-from spectra_kit.geometry.units import box_unit
+from spectra_kit.geometry.shapes import Geometry, TriangleMesh, box_unit, distinct_rows
 from spectra_kit.geometry.winding import wound_against
 
 
@@ -50,8 +49,6 @@ class Problem:
         return f"Problem({self.count}, {self.told()!r})"
 
 
-UNJOINED = "unjoined"  # by which what was recorded of a shape is known to tell of seams
-
 # What a count of `Diagnosis` says of one and of several, and what helps: a call, "" for joining
 # points, or words.
 _PROBLEMS = {
@@ -66,13 +63,13 @@ _PROBLEMS = {
         "geometry.repair(mesh)",
     ),
     "seam_edges": (
-        f"boundary edge lies on another, {UNJOINED}",
-        f"boundary edges lie on others, {UNJOINED}",
+        "boundary edge lies on another, unjoined",
+        "boundary edges lie on others, unjoined",
         "geometry.repair(mesh)",
     ),
     "hanging_vertices": (
-        f"vertex lies inside a boundary edge of another face, {UNJOINED}",
-        f"vertices lie inside boundary edges of other faces, {UNJOINED}",
+        "vertex lies inside a boundary edge of another face, unjoined",
+        "vertices lie inside boundary edges of other faces, unjoined",
         "geometry.repair(mesh)",
     ),
     "turned_faces": (

@@ -122,13 +122,6 @@ def polygonize(
     a long box wastes none. With a `stride` above 1, only every stride-th node is looked at first,
     and the others near the surface: much faster, but right only for fields whose slope stays below
     1.5, as that of the primitives here does.
-
-    Examples
-    --------
-    >>> from spectra_kit.geometry.implicit import polygonize, ring
-    >>> points, faces = polygonize(ring([0, 0, 0], 1.0, 0.4), [-2] * 3, [2] * 3, n_cells=8000)
-    >>> len(points) - len(faces) // 2  # Euler characteristic of a torus
-    0
     """
     low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     cell = float(np.prod(high - low) / n_cells) ** (1 / 3)

@@ -9,7 +9,8 @@ from typing import Any, Literal, TypeVar
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.files import atomic_path
-from spectra_kit._core.validate import hearing, quantity, warn
+from spectra_kit._core.validate import quantity
+from spectra_kit._core.warn import hearing, warn
 from spectra_kit.errors import (
     IgnoredContentWarning,
     InvalidFileError,
@@ -176,7 +177,7 @@ def _geometry(points: Any, faces: Any, kind: Literal["mesh", "cloud"] | None) ->
 
 @checked
 def write(geometry: Geometry, path: str | os.PathLike[str]) -> None:
-    r"""Write a mesh or a point cloud; the file appears whole or not at all.
+    """Write a mesh or a point cloud; the file appears whole or not at all.
 
     Parameters
     ----------
@@ -186,27 +187,10 @@ def write(geometry: Geometry, path: str | os.PathLike[str]) -> None:
         Where. The extension names the format: obj, off, ply, stl, glb, gltf or npz for a mesh;
         ply, xyz, npy or npz for a cloud. A file that is there is replaced.
 
-    Raises
-    ------
-    InvalidFileError
-        If the format is unknown or cannot hold the geometry.
-    InvalidInputError
-        If `geometry` is neither, or the folder does not exist.
-
     Notes
     -----
     All formats give the same float64 numbers back when read again, except stl, glb and gltf, which
-    store float32. STL also forgets unused vertices and the vertex order.
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> from tempfile import TemporaryDirectory
-    >>> from spectra_kit.geometry import PointCloud, write
-    >>> with TemporaryDirectory() as folder:
-    ...     write(PointCloud([[0.1, 0.2, 0.3]]), Path(folder) / "point.xyz")
-    ...     (Path(folder) / "point.xyz").read_text()
-    '0.1 0.2 0.3\n'
+    store float32. STL also forgets unused vertices and the vertex order. `read` has an example.
     """
     path = Path(path)
     writers = MESH_WRITERS if isinstance(geometry, TriangleMesh) else CLOUD_WRITERS

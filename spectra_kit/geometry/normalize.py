@@ -9,15 +9,9 @@ from typing import TypeVar, cast
 import numpy as np
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Brief, frozen
 from spectra_kit._core.types import Floats
-from spectra_kit._core.validate import (
-    Brief,
-    check_points,
-    check_positive,
-    frozen,
-    quantity,
-    real_array,
-)
+from spectra_kit._core.validate import check_points, check_positive, quantity, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 
@@ -35,11 +29,6 @@ class Normalization(Brief):
         The point that goes to the origin, in the unit of the geometry.
     scale : float
         The length that becomes 1, in the same unit.
-
-    Raises
-    ------
-    InvalidInputError
-        If `centre` is not one finite point or `scale` is not positive.
 
     Notes
     -----
@@ -68,23 +57,7 @@ class Normalization(Brief):
 
     @classmethod
     def unit_box(cls, geometry: Geometry) -> Normalization:
-        """Centre the bounding box at the origin and make its longest side 1.
-
-        Parameters
-        ----------
-        geometry : TriangleMesh or PointCloud
-            Must not be a single point.
-
-        Returns
-        -------
-        Normalization
-            Takes the geometry into [-0.5, 0.5]^3.
-
-        Raises
-        ------
-        InvalidInputError
-            If all points coincide.
-        """
+        """Centre the bounding box at the origin, its longest side 1: in [-0.5, 0.5]^3."""
         low, high = geometry.points.min(axis=0), geometry.points.max(axis=0)
         side = float((high - low).max())
         if side == 0:
@@ -97,23 +70,7 @@ class Normalization(Brief):
 
     @classmethod
     def unit_area(cls, mesh: TriangleMesh) -> Normalization:
-        """Centre the surface at its centroid and make its area 1.
-
-        Parameters
-        ----------
-        mesh : TriangleMesh
-            Must have area.
-
-        Returns
-        -------
-        Normalization
-            With scale = sqrt(area) in the unit of the mesh.
-
-        Raises
-        ------
-        InvalidInputError
-            If `mesh` is a cloud or all its faces are degenerate.
-        """
+        """Centre the surface at its centroid and make its area 1."""
         if mesh.area == 0:
             raise InvalidInputError("mesh", "have area", "only degenerate faces")
         weights = mesh.face_areas / mesh.area
@@ -157,11 +114,6 @@ def normalize(geometry: Geometry) -> tuple[Geometry, Normalization]:
         With its bounding box centred at the origin and its longest side 1.
     normalization : Normalization
         ``normalization.invert`` brings points and geometries back.
-
-    Raises
-    ------
-    InvalidInputError
-        If all points coincide.
 
     Examples
     --------

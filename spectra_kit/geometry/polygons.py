@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import as_array, check_indices, check_points, quantity, warn
+from spectra_kit._core.validate import as_array, check_indices, check_points, quantity
+from spectra_kit._core.warn import warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry.shapes import TriangleMesh
 
@@ -44,26 +45,8 @@ def surface(points: Any, faces: Any) -> TriangleMesh:
     """Return the mesh of polygons of any size, as files and other programs have them.
 
     Faces of fewer than three corners beside proper ones, and NaN points that no face uses, are left
-    out with a warning.
+    out with a warning. (A table of four columns may be one of tetrahedra.)
 
-    Parameters
-    ----------
-    points : array_like of shape (n, 3)
-        In length.
-    faces : Polygons or array_like of shape (f, 3)
-        The corners of each. (A table of four columns may be one of tetrahedra.)
-
-    Returns
-    -------
-    TriangleMesh
-
-    Raises
-    ------
-    InvalidInputError
-        As from `TriangleMesh` and `triangulate`.
-
-    Examples
-    --------
     >>> from spectra_kit.geometry.polygons import Polygons, surface
     >>> surface([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], Polygons.of([[0, 1, 2, 3]]))
     TriangleMesh(4 vertices, 2 faces)
@@ -108,26 +91,9 @@ def _without_unused_nan(points: NDArray[Any], corners: Ints) -> tuple[NDArray[An
 def triangulate(points: Floats, polygons: Polygons | Sequence[Sequence[int]] | Ints) -> Ints:
     """Cut polygons of three or more corners into triangles, in their order and of their winding.
 
-    Parameters
-    ----------
-    points : ndarray of shape (n, 3)
-        Finite coordinates, in length.
-    polygons : Polygons, ndarray of shape (p, s) or sequence of sequences of int
-        The corners of each, in order around it.
+    A triangle stays as it is; s corners make s - 2 triangles with all of them, or none where an
+    outline runs back upon itself and encloses nothing.
 
-    Returns
-    -------
-    ndarray of shape (f, 3)
-        A triangle as it is; of s corners, s - 2 triangles with all of them, or none where an
-        outline runs back upon itself and encloses nothing.
-
-    Raises
-    ------
-    InvalidInputError
-        If an index is out of range, a polygon has fewer than 3 corners, or crosses itself.
-
-    Examples
-    --------
     >>> import numpy as np
     >>> from spectra_kit.geometry.polygons import triangulate
     >>> dart = np.array([[2.0, 0, 0], [0, 3, 0], [-2, 0, 0], [0, 1, 0]])

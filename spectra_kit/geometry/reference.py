@@ -11,8 +11,9 @@ import numpy as np
 from scipy.special import jn_zeros, jnp_zeros
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Brief, frozen
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import Brief, check_count, check_positive, frozen
+from spectra_kit._core.validate import check_count, check_positive
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import TriangleMesh
 
@@ -221,11 +222,6 @@ def torus(*, n: int = 1800, major: float = 1.0, minor: float = 0.4, k: int = 100
     -------
     Reference
         Eigenvalues to a relative 1e-11 or so, from a Fourier collocation.
-
-    Raises
-    ------
-    InvalidInputError
-        If a number is out of range, or minor >= major.
 
     Notes
     -----

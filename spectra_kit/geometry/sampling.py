@@ -9,18 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Brief, frozen
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import (
-    Brief,
-    check_count,
-    check_points,
-    check_positive,
-    frozen,
-    real_array,
-)
+from spectra_kit._core.validate import check_count, check_points, check_positive, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
-from spectra_kit.geometry.units import box_unit
+from spectra_kit.geometry.shapes import PointCloud, TriangleMesh, box_unit
 
 _MOST = 2**48  # points; more than any memory holds, but their bytes can be counted
 
@@ -36,11 +29,6 @@ class GaussianDensity:
         Standard deviation, as a fraction of the diagonal of the bounding box.
     centre : tuple of 3 floats, optional
         Where the density peaks; by default a random point of the surface, drawn with the seed.
-
-    Raises
-    ------
-    InvalidInputError
-        If `sigma` is not positive or `centre` is not one finite point.
 
     Notes
     -----
@@ -82,20 +70,7 @@ class Samples(Brief):
     def interpolate(self, values: ArrayLike) -> Floats:
         """Carry a function from the vertices of the mesh to the samples, linearly in each face.
 
-        Parameters
-        ----------
-        values : array_like of shape (n_vertices,) or (n_vertices, d)
-            One number or row for each vertex.
-
-        Returns
-        -------
-        ndarray of shape (n,) or (n, d)
-            The values at the sampled points, in the same unit.
-
-        Raises
-        ------
-        InvalidInputError
-            If there are fewer rows than the mesh has vertices in use, or a value is not finite.
+        A number or a row for each vertex; the same unit.
         """
         array = real_array("values", values)
         if array.ndim == 0 or len(array) <= self.corners.max():
@@ -132,12 +107,6 @@ def sample(
     -------
     PointCloud
         Points of shape (n, 3) in the unit of the mesh.
-
-    Raises
-    ------
-    InvalidInputError
-        If `mesh` is a cloud, `n` is below 1, `seed` is negative or None, `density` is something
-        else, or no face has any area.
 
     Examples
     --------

@@ -1,4 +1,7 @@
-"""`TriangleMesh` and `PointCloud`: the two kinds of input, frozen and validated."""
+"""`TriangleMesh` and `PointCloud`: the two kinds of input, frozen and validated; and their units.
+
+Units of length are powers of two: in them nothing overflows, and nothing is rounded.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +17,10 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Rebuilt, frozen
 from spectra_kit._core.shown import draw, drawn
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import Rebuilt, check_faces, check_points, frozen
+from spectra_kit._core.validate import check_faces, check_points
 from spectra_kit.errors import InvalidInputError
 
 _BLOCK = 1 << 16
@@ -55,11 +59,6 @@ class PointCloud(_Shape):
     points : array_like of shape (n, 3)
         Coordinates, in any unit of length.
 
-    Raises
-    ------
-    InvalidInputError
-        If `points` is empty, has another shape, or holds NaN or infinite values.
-
     Examples
     --------
     >>> from spectra_kit import PointCloud
@@ -84,38 +83,13 @@ class PointCloud(_Shape):
         return len(self.points)
 
     def with_points(self, points: Floats) -> PointCloud:
-        """Return the same cloud at other coordinates.
-
-        Parameters
-        ----------
-        points : ndarray of shape (n, 3)
-            In length.
-
-        Returns
-        -------
-        PointCloud
-
-        Raises
-        ------
-        InvalidInputError
-            As from `PointCloud` itself.
-
-        Examples
-        --------
-        >>> from spectra_kit.geometry import PointCloud
-        >>> cloud = PointCloud([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
-        >>> cloud.with_points(2 * cloud.points).points[1]
-        array([2., 0., 0.])
-        """
+        """Return the same cloud at other coordinates, of shape (n, 3)."""
         return PointCloud(points)
 
     def without_duplicates(self) -> PointCloud:
         """Return the cloud with each distinct point kept once, at its first place.
 
-        Returns
-        -------
-        PointCloud
-            At most n points, in their original order. Only exactly equal coordinates count.
+        Only exactly equal coordinates count.
         """
         first, _ = distinct_rows(self.points)
         return PointCloud(self.points[first])
@@ -136,11 +110,6 @@ class TriangleMesh(_Shape):
         Vertex coordinates, in any unit of length.
     faces : array_like of shape (f, 3)
         Vertex indices of each triangle, counted from 0.
-
-    Raises
-    ------
-    InvalidInputError
-        If an array is empty, has another shape or dtype, or an index is out of range.
 
     Examples
     --------
@@ -166,6 +135,11 @@ class TriangleMesh(_Shape):
     def n(self) -> int:
         """Number of vertices."""
         return len(self.points)
+
+    @property
+    def vertices(self) -> Floats:
+        """The `points`, by the name that trimesh and others have for them."""
+        return self.points
 
     @cached_property
     def face_areas(self) -> Floats:
@@ -213,29 +187,7 @@ class TriangleMesh(_Shape):
         return frozen(connected_components(graph, directed=False)[1].astype(np.int64))
 
     def with_points(self, points: Floats) -> TriangleMesh:
-        """Return the same connectivity at other coordinates.
-
-        Parameters
-        ----------
-        points : ndarray of shape (n, 3)
-            In length.
-
-        Returns
-        -------
-        TriangleMesh
-
-        Raises
-        ------
-        InvalidInputError
-            As from `TriangleMesh` itself.
-
-        Examples
-        --------
-        >>> from spectra_kit.geometry import TriangleMesh
-        >>> mesh = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
-        >>> mesh.with_points(2 * mesh.points).area
-        2.0
-        """
+        """Return the same connectivity at other coordinates, of shape (n, 3)."""
         return TriangleMesh(points, self.faces)
 
     def as_cloud(self) -> PointCloud:
@@ -250,15 +202,7 @@ class TriangleMesh(_Shape):
     def without_degenerate_faces(self, *, relative_area: float = 1e-12) -> TriangleMesh:
         """Return the mesh without faces of repeated vertices or (near) zero area.
 
-        Parameters
-        ----------
-        relative_area : float, default 1e-12
-            Faces of area <= relative_area * (longest side)^2 go as well.
-
-        Returns
-        -------
-        TriangleMesh
-            The vertices are untouched; some may have become unreferenced.
+        Faces of area <= relative_area * (longest side)^2 go. Vertices stay, some without a face.
         """
         return TriangleMesh(self.points, self.faces[~self.degenerate_faces(relative_area)])
 
@@ -328,3 +272,29 @@ def distinct_rows(rows: Floats | Ints) -> tuple[Ints, Ints]:
 
 
 Geometry = TriangleMesh | PointCloud
+
+
+def power_of_two(length: float | Floats) -> Floats:
+    """Return the largest power of two that is not above `length`, 0 for 0."""
+    return np.where(length, np.ldexp(1.0, np.frexp(length)[1] - 1), 0.0)
+
+
+def box_unit(points: Floats) -> float:
+    """Return about the longest side of the box around all points (n, 3); 1 where they coincide."""
+    with np.errstate(over="ignore"):
+        extent = np.ptp(points, axis=0).max()
+    return float(power_of_two(min(extent, np.finfo(float).max))) or 1.0
+
+
+def component_units(mesh: TriangleMesh) -> Floats:
+    """Return about the longest side of the box around each vertex's component, shape (n,).
+
+    0 where all its points coincide.
+    """
+    labels = mesh.component_labels
+    order = np.argsort(labels, kind="stable")
+    starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
+    low, high = (f.reduceat(mesh.points[order], starts) for f in (np.minimum, np.maximum))
+    with np.errstate(over="ignore"):
+        extents = (high - low).max(axis=1)
+    return power_of_two(np.minimum(extents, np.finfo(float).max))[labels]

@@ -188,7 +188,7 @@ def _of_one_plan(records: list[ShapeRecord], plan: Plan | None) -> list[ShapeRec
     """Return the records of a plan, or all, by their names; refuse none, and several plans."""
     if not records:
         raise InvalidInputError(
-            "store", "hold shapes", "none", advice="fill it (batch.compute_all)"
+            "store", "hold shapes", "none", advice="fill it (datasets.compute_all)"
         )
     wanted = records[0].facts if plan is None else plan.facts
     chosen = [record for record in records if record.facts == wanted]

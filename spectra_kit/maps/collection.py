@@ -10,21 +10,31 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._core.arrays_file import read_arrays, write_arrays
 from spectra_kit._core.checked import checked
+from spectra_kit._core.fingerprint import arrays_digest, facts_digest
 from spectra_kit._core.threads import single_threaded_blas
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import Brief, Rebuilt, check_count, hearing
+from spectra_kit._core.version import VERSION
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.features import shape_dna, shape_dna_distances
-from spectra_kit.maps._found import found_path, read_found, shape_key, write_found
-from spectra_kit.maps.coupled import Sampled, coupled_zoomout
-from spectra_kit.maps.match import match, matched_from
-from spectra_kit.maps.options import DEFAULT, MatchOptions
-from spectra_kit.maps.prepare import LOWEST_K, REFINED_K, Prepared
-from spectra_kit.maps.result import Candidate, Match
+from spectra_kit.maps.match import matched, matched_from
+from spectra_kit.maps.prepare import LOWEST_K, REFINED_K, Prepared, truncated
+from spectra_kit.maps.result import DEFAULT, Candidate, Match, MatchOptions
 from spectra_kit.maps.score import scored
-from spectra_kit.maps.synchronise import LEAD, Found, Frames, apart, groups, synchronised
+from spectra_kit.maps.synchronise import (
+    LEAD,
+    Found,
+    Frames,
+    Sampled,
+    apart,
+    coupled_zoomout,
+    groups,
+    synchronised,
+)
 
+_KEPT = ("maps", "scores", "mirrored")  # of what a pair's own match has found, in a file
 _LEADS = (LEAD, 12, 24)  # modes from which implied maps are grown anew: the best one counts
 
 
@@ -120,16 +130,15 @@ class Collection(Rebuilt):
         Candidate
             Its functional map, grown anew from the lowest modes, and its score.
 
-        Raises
-        ------
-        InvalidInputError
-            If a name is not among `shapes`.
         """
+        return self._candidate(source, target)
+
+    def _candidate(self, source: str, target: str) -> Candidate:
         i, j = (self._place(end, x) for end, x in (("source", source), ("target", target)))
         a, b = self.shapes[source], self.shapes[target]
         implied, mirrored = self.frames[j] @ self.frames[i].T, self.mirrored[i] != self.mirrored[j]
         with single_threaded_blas():
-            return _implied(a, b, implied, bool(mirrored), self.options)
+            return _implied(a, b, implied, bool(mirrored))
 
     def pair(self, source: str, target: str, *, k: int = 150, elastic: bool = True) -> Match:
         """Return the map between two surfaces, refined as `match` does.
@@ -149,17 +158,12 @@ class Collection(Rebuilt):
             It has one candidate, and so no rival: both its margins are infinite, and its confidence
             is what it would be if a rival scored as well.
 
-        Raises
-        ------
-        InvalidInputError
-            If a name is not among `shapes`, or `k` is below 30.
-
         Warns
         -----
         DoubtfulMatchWarning
             If the map is not `Match.convincing`.
         """
-        found = [self.candidate(source, target)]
+        found = [self._candidate(source, target)]
         return matched_from(
             *(self.shapes[source], self.shapes[target], [found]),
             k=check_count("k", k, low=LOWEST_K),
@@ -218,9 +222,6 @@ def match_collection(
 
     Raises
     ------
-    InvalidInputError
-        If there are fewer than two surfaces, only some have geometries, `mirrored` is True, or
-        `folder` is a file.
     InvalidFileError
         If a file of the folder is damaged.
     OSError
@@ -256,7 +257,7 @@ def match_collection(
             *(many, shape_dna_distances(dnas), neighbours, alone, options),
             joined=lambda done: progress and progress(done, len(many)),
         )
-        pairs = tuple(_told(names, many, i, j, frames, options) for i, j in sorted(frames.found))
+        pairs = tuple(_told(names, many, i, j, frames) for i, j in sorted(frames.found))
     label = groups(len(many), frames.found)
     grouped = [tuple(np.array(names)[label == x].tolist()) for x in range(label.max() + 1)]
     return Collection(
@@ -285,24 +286,32 @@ class _Alone:
             if folder.exists() and not folder.is_dir():
                 raise InvalidInputError("folder", "be one, or not be there", f"the file {folder}")
             folder.mkdir(parents=True, exist_ok=True)
-            self._keys = [shape_key(shape) for shape in shapes]
+            self._keys = [_key(shape) for shape in shapes]
 
     def __call__(self, i: int, j: int) -> Found:
         if self._folder is None:
             return self._matched(i, j)
+        facts = {"release": VERSION, "source": self._keys[i], "target": self._keys[j]}
         how = repr((self._mirrored, self._options))
-        path = found_path(self._folder, self._keys[i], self._keys[j], how)
+        path = self._folder / f"{facts_digest({**facts, 'how': how})}.npz"
         if path.exists():
-            return read_found(path)
+            header, arrays = read_arrays(
+                *(path, "kept pair of a collection", lambda _: _KEPT),
+                remedy="remove it: it is made again",
+            )
+            return Found(**arrays, convincing=bool(header["convincing"]))
         found = self._matched(i, j)
-        write_found(path, found)
+        arrays = {name: np.asarray(getattr(found, name)) for name in _KEPT}
+        write_arrays(path, {"convincing": found.convincing}, arrays)
         return found
 
     def _matched(self, i: int, j: int) -> Found:
         """Return what `match` chooses from; what it would refine is worked out when asked for."""
         a, b, options = self._shapes[i], self._shapes[j], self._options
         with hearing():  # `convincing` tells of doubts
-            one = match(a, b, mirrored=self._mirrored, k=REFINED_K, elastic=False, options=options)
+            one = matched(
+                *(a, b), mirrored=self._mirrored, k=REFINED_K, elastic=False, options=options
+            )
         return Found(
             maps=np.array([c.functional_map for c in one.candidates]),
             scores=np.array([c.score for c in one.candidates]),
@@ -322,7 +331,7 @@ def _checked(shapes: Mapping[str, Prepared], mirrored: bool | None) -> list[Prep
         )
     if len(shapes) < 2:
         raise InvalidInputError("shapes", "hold at least two surfaces", len(shapes))
-    seen = [name for name, shape in shapes.items() if shape.surface is not None]
+    seen = [name for name, shape in shapes.items() if shape.geometry is not None]
     if seen and len(seen) < len(shapes):
         missing = next(name for name in shapes if name not in seen)
         raise InvalidInputError(
@@ -332,18 +341,24 @@ def _checked(shapes: Mapping[str, Prepared], mirrored: bool | None) -> list[Prep
             advice="pass it to prepare",
         )
     fewest = min(shape.spectrum.k for shape in shapes.values())
-    return [shape.truncate(fewest) for shape in shapes.values()]
+    return [truncated(shape, fewest) for shape in shapes.values()]
 
 
-def _implied(
-    a: Prepared, b: Prepared, implied: Floats, mirrored: bool, options: MatchOptions
-) -> Candidate:
+def _key(shape: Prepared) -> str:
+    """Return a hash of all that a match takes of a surface."""
+    spectrum, seen = shape.spectrum, shape.geometry
+    placed = () if seen is None else (seen.points, seen.oriented.faces, shape.curvature)
+    parts = (spectrum.eigenvalues, spectrum.eigenvectors, spectrum.mass, shape.samples, *placed)
+    return arrays_digest(*parts)
+
+
+def _implied(a: Prepared, b: Prepared, implied: Floats, mirrored: bool) -> Candidate:
     """Return the candidate that a map becomes when it is grown anew from its lowest modes."""
     source, target = (Sampled.of(shape, len(implied)) for shape in (a, b))
     candidates = []
     for lead in _LEADS:
         C = coupled_zoomout(source, target, implied[None], lead)[0]
-        candidates.append(scored(a, b, C, mirrored=mirrored, options=options))
+        candidates.append(scored(a, b, C, mirrored=mirrored))
     return min(candidates, key=lambda c: c.score)
 
 
@@ -353,13 +368,12 @@ def _told(
     i: int,
     j: int,
     frames: Frames,
-    options: MatchOptions,
 ) -> CollectedPair:
     """Return what became of a pair that was matched by itself."""
     a, b, found = shapes[i], shapes[j], frames.found[i, j]
     implied, turns = frames.maps[j] @ frames.maps[i].T, frames.mirrored[i] != frames.mirrored[j]
-    chosen = _implied(a, b, implied, bool(turns), options)
-    alone = scored(a, b, found.maps[0], mirrored=bool(found.mirrored[0]), options=options)
+    chosen = _implied(a, b, implied, bool(turns))
+    alone = scored(a, b, found.maps[0], mirrored=bool(found.mirrored[0]))
     return CollectedPair(
         source=names[i],
         target=names[j],

@@ -12,16 +12,16 @@ from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_indices, check_weights, real_array
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.maps._normal_equations import minimise
-from spectra_kit.maps._terms import (
+from spectra_kit.maps._energy import (
     Mask,
     commuting,
     few_combinations,
     laplacian_mask,
+    minimise,
     multiplication_operators,
     preserved,
 )
-from spectra_kit.maps.checks import at_unit_area, check_components, check_sizes
+from spectra_kit.maps.convert import at_unit_area, check_components, check_sizes
 from spectra_kit.operators.oriented import OrientedTriangles, orientation_operator
 
 _RIDGE = 1e-12  # of |C|^2, where all else is of order 1: decides what nothing else does
@@ -45,11 +45,6 @@ class FitWeights:
         do; 0 leaves it out.
     landmarks : float, default 1.0
         Of carrying the delta function of each landmark to that of the other.
-
-    Raises
-    ------
-    InvalidInputError
-        If a weight is negative or not finite.
 
     Examples
     --------
@@ -112,10 +107,6 @@ def fit_functional_map(
 
     Raises
     ------
-    InvalidInputError
-        If arrays do not fit the spectra, the surfaces differ in their number of components,
-        landmarks are empty, no triangles come with a positive weight of the orientation, or weights
-        of very different size make a singular system.
     ConvergenceError
         If a large fit with operators is too badly conditioned for conjugate gradients.
 

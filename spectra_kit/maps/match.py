@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,46 +11,44 @@ from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.threads import in_threads, single_threaded_blas
-from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.types import Bools, Floats, Ints
 from spectra_kit._core.validate import check_count, quantity, warn
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.features import landmark_wave_kernel_signature, normalize_descriptors
 from spectra_kit.geometry import Geometry
-from spectra_kit.maps.alignment import bent, placed_candidates, side_of
-from spectra_kit.maps.candidates import sign_candidates
-from spectra_kit.maps.checks import check_point_map
-from spectra_kit.maps.convert import Correspondence, functional_map_from_point_map
-from spectra_kit.maps.elastic import meeting
-from spectra_kit.maps.everywhere import (
-    all_placed,
-    by_bending,
-    by_modes,
-    on_matched,
+from spectra_kit.maps.calibration import score_of
+from spectra_kit.maps.candidates import bent, rigid_candidates, side_of, sign_candidates
+from spectra_kit.maps.convert import (
+    Correspondence,
+    at_unit_area,
+    check_point_map,
+    induced,
+    into_triangles,
 )
+from spectra_kit.maps.deform import by_bending, by_modes, contact
 from spectra_kit.maps.fit import Landmarks, check_landmarks, fit_functional_map
-from spectra_kit.maps.landmarks import ENOUGH, Pairs, kept, left_by, located
 from spectra_kit.maps.nearest import nearest
-from spectra_kit.maps.options import DEFAULT, MatchOptions
-from spectra_kit.maps.precise import into_triangles
 from spectra_kit.maps.prepare import (
     CURVATURE_SCALE,
     LOWEST_K,
     REFINED_K,
     Prepared,
     curvatures,
-    prepare,
+    on_matched,
+    prepared,
+    truncated,
 )
-from spectra_kit.maps.refine import bijective_zoomout
-from spectra_kit.maps.result import Candidate, Match
+from spectra_kit.maps.result import DEFAULT, Candidate, Match, MatchOptions
 from spectra_kit.maps.score import (
+    Pairs,
     coverage_over_chance,
+    mismatches,
     orientation_of,
     scored,
 )
-from spectra_kit.maps.tears import torn
-from spectra_kit.maps.topology import clustered, compared
-from spectra_kit.maps.zoomout import zoomout_many
+from spectra_kit.maps.surface import Surface, clustered, discontinuity, topology_of
+from spectra_kit.maps.zoomout import both_ways, many_zoomed
 
 _SEEN_FROM = 12  # landmarks at most: all are fitted, but the time grows with what each sees
 _LANDMARK_ENERGIES = 20  # of the wave kernel signature seen from each landmark
@@ -57,13 +56,18 @@ _SAME = 0.05  # squared difference per mode below which two maps are one
 _RIVAL = 0.15  # the same, below which one is no rival of the other
 _CONTEST = 1.15  # candidates whose scores are within that factor of the best are bent as well
 _CONTENDERS = 4  # how many at most, the best among them
+_RIGID = 8  # candidates that come of laying the source onto the target
 _LAST_STEPS = 3  # from the refined modes to the end
+_ENOUGH = 3  # landmarks: distances that tell a point from all others, but for symmetries
+_SHORT = 0.05  # at unit area: distances from them count by their ratios, but for such short ones
+_FAR = 3.0  # steps between neighbours beyond which a landmark is lost
+_NEAR = 0.05  # the same at unit area, where steps are finer: bending is rigid below that length
 
 
 @checked
 def match(
-    source: Prepared | Spectrum,
-    target: Prepared | Spectrum,
+    source: Geometry | Spectrum | Prepared,
+    target: Geometry | Spectrum | Prepared,
     *,
     source_geometry: Geometry | None = None,
     target_geometry: Geometry | None = None,
@@ -79,8 +83,9 @@ def match(
 
     Parameters
     ----------
-    source, target : Prepared or Spectrum
-        Connected surfaces, in any units; a `Prepared` one saves time over many pairs.
+    source, target : TriangleMesh, PointCloud, Spectrum or Prepared
+        Connected surfaces, in any units, or their files; of meshes and clouds the lowest 150 modes
+        are solved for. A `Prepared` one saves time over many pairs.
     source_geometry, target_geometry : TriangleMesh or PointCloud, optional
         Of a `Spectrum`: the surface, for its sides and its curvature. Without them the match may
         be flipped, and its `orientation` is None.
@@ -111,13 +116,6 @@ def match(
     Match
         The point map, the functional map, and how sure they are.
 
-    Raises
-    ------
-    InvalidInputError
-        If a spectrum has fewer than 30 modes, no constant mode or several components, `k` is below
-        30, `mirrored` or `precise` is given without both geometries, landmarks are empty, unpaired
-        or out of range, or `initial` is no map of all target points to source points.
-
     Warns
     -----
     DoubtfulMatchWarning
@@ -128,17 +126,15 @@ def match(
     >>> import numpy as np
     >>> import spectra_kit as sk
     >>> animal = sk.geometry.creature(600)
-    >>> image = sk.geometry.mirrored(animal)
-    >>> a, b = (sk.prepare(sk.spectrum(m, 60), m) for m in (animal, image))
-    >>> found = sk.match(a, b)
+    >>> found = sk.match(animal, sk.geometry.mirrored(animal), k=60)
     >>> found.mirrored, bool((found.point_map == np.arange(600)).all())
     (True, True)
     """
     a = _prepared("source", source, source_geometry)
     b = _prepared("target", target, target_geometry)
-    k = min(check_count("k", k, low=LOWEST_K), a.spectrum.k, b.spectrum.k)
-    seen = a.surface is not None
-    if seen != (b.surface is not None):
+    check_count("k", k, low=LOWEST_K)
+    seen = a.geometry is not None
+    if seen != (b.geometry is not None):
         raise InvalidInputError(
             "source",
             "come with its geometry as `target` does, or both without",
@@ -159,13 +155,40 @@ def match(
             precise,
             advice="pass source_geometry and target_geometry",
         )
-    ways = (False, True) if mirrored is None and seen else (bool(mirrored),)
-    known = None if landmarks is None else check_landmarks(landmarks, a.whole.n, b.whole.n)
+    if landmarks is not None:
+        landmarks = check_landmarks(landmarks, a.whole.n, b.whole.n)
     if initial is not None:
         initial = check_point_map("initial", initial, a.whole.n, b.whole.n)
+    return matched(
+        *(a, b),
+        landmarks=landmarks,
+        initial=initial,
+        mirrored=mirrored,
+        k=k,
+        elastic=elastic,
+        precise=precise,
+        options=options,
+    )
+
+
+def matched(
+    a: Prepared,
+    b: Prepared,
+    *,
+    landmarks: Pairs | None = None,
+    initial: Ints | None = None,
+    mirrored: bool | None,
+    k: int,
+    elastic: bool = True,
+    precise: bool = False,
+    options: MatchOptions,
+) -> Match:
+    """Do the same with checked arguments."""
+    seen = a.geometry is not None
+    ways = (False, True) if mirrored is None and seen else (bool(mirrored),)
     fewer = min(a.spectrum.k, b.spectrum.k)
-    a, b = a.truncate(fewer), b.truncate(fewer)
-    pairs = None if known is None else _matched_on(known, a, b)
+    a, b = truncated(a, fewer), truncated(b, fewer)
+    pairs = None if landmarks is None else (a.closest[landmarks[0]], b.closest[landmarks[1]])
     with single_threaded_blas():  # small products: the threads are ours
         search = Search(a, b, pairs, options)
         if initial is None:
@@ -180,7 +203,7 @@ def match(
             elastic=elastic,
             options=options,
             precise=precise,
-            landmarks=known,
+            landmarks=landmarks,
         )
 
 
@@ -197,17 +220,16 @@ def matched_from(
 ) -> Match:
     """Refine one of the first candidates found, those of either orientation; the best first."""
     k = min(k, a.spectrum.k, b.spectrum.k)
-    wholes = None if a.surface is None or b.surface is None else (all_placed(a), all_placed(b))
+    seen = a.geometry is not None and b.geometry is not None
     apart, lost_from = None, np.inf
     with single_threaded_blas():
-        chosen = _settled(a, b, found[0], options)
-        point_map, on_faces = _refined(a, b, chosen, k, elastic, options, precise)
-        if landmarks is not None and wholes is not None:
-            apart, lost_from = left_by(wholes[0], point_map, landmarks)
-            point_map, on_faces = kept(point_map, on_faces, landmarks, apart <= lost_from)
-        functional_map = functional_map_from_point_map(a.whole, b.whole, point_map, k=k)
-    matched = on_matched(a, b, point_map)
-    seen = None if a.surface is None or b.surface is None else (a.surface, b.surface)
+        chosen = _settled(a, b, found[0], options.rounds)
+        point_map, on_faces = _refined(a, b, chosen, k, elastic, options.rounds, precise)
+        if landmarks is not None and seen:
+            apart, lost_from = _left_by(a.whole_surface, point_map, landmarks)
+            point_map, on_faces = _kept(point_map, on_faces, landmarks, apart <= lost_from)
+        functional_map = induced(a.whole, b.whole, point_map, k, k)
+    on_few = on_matched(a, b, point_map)
     opposite = [c.score for c in found[-1]] if len(found) == 2 else []
     rivals = [c.score for c in found[0] if _apart(c, chosen) > _RIVAL]
     others = [c for way in found for c in way if c is not chosen]
@@ -219,15 +241,14 @@ def matched_from(
         margin=min(rivals) / chosen.score if rivals else float("inf"),
         mirror_margin=min(opposite) / chosen.score if opposite else float("inf"),
         consistent=min(
-            1.0 if side.surface is None else side.surface.oriented.consistent for side in (a, b)
+            side.surface.oriented.consistent if side.geometry else 1.0 for side in (a, b)
         ),
-        coverage=coverage_over_chance(a.spectrum, b.spectrum, matched),
-        torn=None if seen is None else torn(*seen, matched),
+        coverage=coverage_over_chance(a.spectrum, b.spectrum, on_few),
+        discontinuity=discontinuity(a.surface, b.surface, on_few) if seen else None,
         candidates=(chosen, *others),
         precise=on_faces,
-        options=options,
         clustered=max(clustered(side.spectrum.eigenvalues) for side in (a, b)),
-        **({} if wholes is None else compared(*wholes)),
+        **(_topologies(a.whole_surface, b.whole_surface) if seen else {}),
         landmark_distances=apart,
         lost_from=lost_from,
     )
@@ -237,13 +258,12 @@ def matched_from(
 
 def told_of(found: Match) -> None:
     """Warn of a match that does not convince, or keep its landmarks."""
-    held = found.landmarks_held
+    held, apart = found.landmarks_held, found.landmark_distances
     lost = ""
-    if held is not None and not held.all():
-        assert found.landmark_distances is not None
+    if held is not None and apart is not None and not held.all():
         lost = (
             f"{(~held).sum()} of {quantity(len(held), 'landmark')} are lost: the map leads"
-            f" {found.landmark_distances.max():.2g} times the root of the area away from them (at"
+            f" {apart.max():.2g} times the root of the area away from them (at"
             f" most {found.lost_from:.2g} is exact enough)"
         )
     if found.convincing and not lost:
@@ -265,9 +285,7 @@ def told_of(found: Match) -> None:
     )
 
 
-def _settled(
-    a: Prepared, b: Prepared, candidates: Sequence[Candidate], options: MatchOptions
-) -> Candidate:
+def _settled(a: Prepared, b: Prepared, candidates: Sequence[Candidate], rounds: int) -> Candidate:
     """Return the best candidate; where bodies of one kind meet, by how near the bent source comes.
 
     Of one body in two poses modes can hardly tell the front from the back, but the right map brings
@@ -277,9 +295,9 @@ def _settled(
     best, *others = candidates
     rivals = [c for c in others if c.score <= _CONTEST * best.score]
     close = _distinct([best, *rivals], _RIVAL)[:_CONTENDERS]
-    if len(close) == 1 or a.surface is None or b.surface is None:
+    if len(close) == 1 or a.geometry is None or b.geometry is None:
         return best
-    gaps = [_left(a, b, c, options) for c in close]
+    gaps = [_gap(a, b, c, rounds) for c in close]
     spacing = 1 / np.sqrt(min(a.spectrum.n, b.spectrum.n))  # at unit area
     if min(gaps) > spacing:
         return best
@@ -287,34 +305,38 @@ def _settled(
     return close[int(np.argmin(costs))]
 
 
-def _left(a: Prepared, b: Prepared, candidate: Candidate, options: MatchOptions) -> float:
+def _gap(a: Prepared, b: Prepared, candidate: Candidate, rounds: int) -> float:
     """Return the distance to the target that is left once the source is bent by a candidate."""
-    C = candidate.functional_map
+    C, mirrored = candidate.functional_map, candidate.mirrored
     rows1, rows2 = a.spectrum.eigenvectors[:, : len(C)] @ C.T, b.spectrum.eigenvectors[:, : len(C)]
     there = nearest(rows1, rows2)
-    assert a.surface is not None
-    assert b.surface is not None
-    mirrored = candidate.mirrored
-    return meeting(a.surface, b.surface, there, mirrored=mirrored, options=options).gap
+    return contact(a.surface, b.surface, there, mirrored=mirrored, rounds=rounds).gap
 
 
-def _distinct(candidates: Iterable[Candidate], apart: float) -> list[Candidate]:
+class _Scored(Protocol):
+    @property
+    def functional_map(self) -> Floats: ...
+    @property
+    def score(self) -> float: ...
+
+
+class _Rough(NamedTuple):
+    """A map that is compared with many others."""
+
+    functional_map: Floats
+    score: float
+
+
+_Any = TypeVar("_Any", bound=_Scored)
+
+
+def _distinct(candidates: Iterable[_Any], apart: float) -> list[_Any]:
     """Return the candidates by score, without those that all but repeat a better one."""
-    kept: list[Candidate] = []
+    kept = list[_Any]()
     for c in sorted(candidates, key=lambda c: c.score):
         if all(_apart(c, other) > apart for other in kept):
             kept.append(c)
     return kept
-
-
-def _matched_on(landmarks: Pairs, a: Prepared, b: Prepared) -> Pairs:
-    """Return landmarks, or on dense surfaces the points that stand for them."""
-    one, other = landmarks
-    if a.dense is not None:
-        one = a.dense.closest[one]
-    if b.dense is not None:
-        other = b.dense.closest[other]
-    return one, other
 
 
 def _refined(
@@ -323,20 +345,20 @@ def _refined(
     chosen: Candidate,
     k: int,
     elastic: bool,
-    options: MatchOptions,
+    rounds: int,
     precise: bool = False,
 ) -> tuple[Ints, sparse.csr_array | None]:
     """Return the map of all points that a candidate is refined to, and the one into triangles."""
     start = _sharpened(a, b, chosen.functional_map[:k, :k])
-    if not elastic or a.surface is None or b.surface is None:
+    if not elastic or a.geometry is None or b.geometry is None:
         point_map, here, there = by_modes(a, b, _zoomed(a, b, start, k)[0])
     else:
         _, way_there = spectral_map(a, b, start, k)
         mirrored = chosen.mirrored
-        point_map, here, there = by_bending(a, b, way_there, mirrored=mirrored, options=options)
-    faces = all_placed(a).oriented.faces if precise else None
-    on_faces = None if faces is None else into_triangles(there, here, faces, point_map)
-    return point_map, on_faces
+        point_map, here, there = by_bending(a, b, way_there, mirrored=mirrored, rounds=rounds)
+    if not precise:
+        return point_map, None
+    return point_map, into_triangles(there, here, a.whole_surface.oriented.faces, point_map)
 
 
 def _sharpened(a: Prepared, b: Prepared, functional_map: Floats) -> Floats:
@@ -346,36 +368,33 @@ def _sharpened(a: Prepared, b: Prepared, functional_map: Floats) -> Floats:
     out sharper without them.
     """
     low, k = LOWEST_K, len(functional_map)
-    if a.surface is None or b.surface is None or k <= low:
+    if a.geometry is None or b.geometry is None or k <= low:
         return functional_map
     rows1, rows2 = a.spectrum.eigenvectors[a.samples, :k], b.spectrum.eigenvectors[b.samples, :k]
     start = functional_map[None, :low, :low]
-    maps, _ = zoomout_many(rows1, rows2, start, k_final=k, step=6)
+    maps, _ = many_zoomed(rows1, rows2, start, k, 6)
     sharp: Floats = maps[0]
     return sharp
 
 
 def spectral_map(a: Prepared, b: Prepared, start: Floats, k: int) -> tuple[Correspondence, Ints]:
     """Refine a functional map to k modes; return also the target point of each source point."""
-    found, features = _zoomed(a, b, start, k)
+    found, (more1, more2) = _zoomed(a, b, start, k)
     rows1 = a.spectrum.eigenvectors[:, :k] @ found.functional_map.T
     rows2 = b.spectrum.eigenvectors[:, :k]
-    if features is not None:
-        rows1, rows2 = np.hstack([rows1, features[0]]), np.hstack([rows2, features[1]])
-    return found, nearest(rows1, rows2)
+    return found, nearest(np.hstack([rows1, more1]), np.hstack([rows2, more2]))
 
 
 def _zoomed(
     a: Prepared, b: Prepared, start: Floats, k: int
-) -> tuple[Correspondence, tuple[Floats, Floats] | None]:
+) -> tuple[Correspondence, tuple[Floats, Floats]]:
     """Refine a functional map to k modes; return also what joined them."""
-    step = -(-(k - len(start)) // _LAST_STEPS)
-    curved = curvatures(a, b)
-    features = curved and (CURVATURE_SCALE * curved[0], CURVATURE_SCALE * curved[1])
-    found = bijective_zoomout(
-        a.spectrum, b.spectrum, start, k_final=k, step=max(step, 1), features=features
-    )
-    return found, features
+    step = max(1, -(-(k - len(start)) // _LAST_STEPS))
+    features = np.empty((a.spectrum.n, 0)), np.empty((b.spectrum.n, 0))
+    if (curved := curvatures(a, b)) is not None:
+        features = CURVATURE_SCALE * curved[0], CURVATURE_SCALE * curved[1]
+    one, other = (at_unit_area(side.spectrum.truncate(k)) for side in (a, b))
+    return both_ways(one, other, start, k, step, features), features
 
 
 class Search:
@@ -390,18 +409,15 @@ class Search:
     def candidates(self, mirrored: bool) -> list[Candidate]:
         """Return the refined candidates that mirror, or those that do not; the best first."""
         a, b, options = self._a, self._b, self._options
-        maps = list(sign_candidates(a, b, mirrored=mirrored, options=options))
+        effort = {"orders": options.orders, "growing": options.growing}
+        maps = list(sign_candidates(a, b, mirrored=mirrored, **effort))
         bends = curvatures(a, b) is not None  # else normals tell nothing of who is whom
         sides = (side_of(a, mirrored=mirrored), side_of(b)) if bends else None
         if sides is not None:
-            placed = (
-                self._scored(C, mirrored, rough=True)
-                for C in placed_candidates(*sides, options.turns)
-            )
-            maps += [c.functional_map for c in _distinct(placed, _SAME)[: options.placed]]
+            laid = (self._rough(C, mirrored) for C in rigid_candidates(*sides, options.turns))
+            maps += [c.functional_map for c in _distinct(laid, _SAME)[:_RIGID]]
         maps += [fit for fit in self._fits if self._mirrors(fit) == mirrored]
-        rough = (self._scored(C, mirrored, rough=True) for C in maps)
-        grown = _distinct(rough, _SAME)
+        grown = _distinct((self._rough(C, mirrored) for C in maps), _SAME)
         starts = [c.functional_map for c in grown[: options.finalists]]
         if sides is not None:
             refined = [bent(*sides, C) for C in starts]
@@ -417,13 +433,14 @@ class Search:
             a.spectrum.eigenvectors[a.samples, :k],
             b.spectrum.eigenvectors[b.samples, :k],
         )
-        maps_, _ = zoomout_many(rows1, rows2, np.stack(starts), k_final=k, step=6)
+        maps_, _ = many_zoomed(rows1, rows2, np.stack(starts), k, 6)
         return _distinct((self._scored(C, mirrored) for C in maps_), _SAME)
 
     def known(self, point_map: Ints, mirrored: bool | None) -> Candidate:
         """Return what a map of all points comes to in the refined modes; unrefined."""
         a, b = self._a.spectrum, self._b.spectrum
-        C = functional_map_from_point_map(a, b, point_map, k=min(REFINED_K, a.k, b.k))
+        k = min(REFINED_K, a.k, b.k)
+        C = induced(a, b, point_map, k, k)
         return self._scored(C, self._mirrors(C) if mirrored is None else mirrored)
 
     def _mirrors(self, C: Floats) -> bool:
@@ -446,39 +463,76 @@ class Search:
         )
         source, target, k = self._a.spectrum, self._b.spectrum, LOWEST_K
         fits = [fit_functional_map(source, target, f, g, k=k, landmarks=landmarks)]
-        one, other = self._a.surface, self._b.surface
-        if one is not None and other is not None and len(landmarks[0]) >= ENOUGH:
-            there = located(one, other, landmarks)
-            fits.append(functional_map_from_point_map(source, target, there, k=k))
+        seen = self._a.geometry is not None and self._b.geometry is not None
+        if seen and len(landmarks[0]) >= _ENOUGH:
+            there = _located(self._a.surface, self._b.surface, landmarks)
+            fits.append(induced(source, target, there, k, k))
         return fits
 
-    def _scored(
-        self, C: Floats, mirrored: bool, *, rough: bool = False, alignment: float | None = None
-    ) -> Candidate:
+    def _rough(self, C: Floats, mirrored: bool) -> _Rough:
+        values = mismatches(
+            *(self._a, self._b, C), mirrored=mirrored, landmarks=self._landmarks, rough=True
+        )
+        return _Rough(C, score_of(values))
+
+    def _scored(self, C: Floats, mirrored: bool, *, alignment: float | None = None) -> Candidate:
         return scored(
             *(self._a, self._b, C),
             mirrored=mirrored,
             landmarks=self._landmarks,
-            rough=rough,
             alignment=alignment,
-            options=self._options,
         )
 
 
-def _apart(c: Candidate, other: Candidate) -> float:
+def _apart(c: _Scored, other: _Scored) -> float:
     """Return the squared difference of two maps, per mode."""
     C = c.functional_map
     return float(((C - other.functional_map) ** 2).sum() / len(C))
 
 
-def _prepared(name: str, side: Prepared | Spectrum, geometry: Geometry | None) -> Prepared:
-    if isinstance(side, Prepared):
-        if geometry is not None:
-            raise InvalidInputError(
-                f"{name}_geometry",
-                "be left out for a prepared surface",
-                "one",
-                advice="pass it to prepare",
-            )
-        return side
-    return prepare(side, geometry)
+def _topologies(source: Surface, target: Surface) -> dict[str, Any]:
+    """Return the topologies of both as `Match` has them."""
+    one, other = topology_of(source), topology_of(target)
+    known = one.genus is not None and other.genus is not None
+    return {"genera": (one.genus, other.genus) if known else None, "rims": (one.rim, other.rim)}
+
+
+def _prepared(
+    name: str, side: Geometry | Spectrum | Prepared, geometry: Geometry | None
+) -> Prepared:
+    if isinstance(side, Spectrum):
+        return prepared(side, geometry)
+    if geometry is not None:
+        raise InvalidInputError(f"{name}_geometry", "be left out but of a spectrum", "one")
+    return side if isinstance(side, Prepared) else prepared(side)
+
+
+def _located(source: Surface, target: Surface, landmarks: Pairs) -> Ints:
+    """Return the source point as far from all landmarks as each target point is, (n2,)."""
+    here, there = (
+        np.log(side.lengths_from(points) + _SHORT).T
+        for side, points in zip((source, target), landmarks, strict=True)
+    )
+    return nearest(there, here)
+
+
+def _left_by(source: Surface, point_map: Ints, landmarks: Pairs) -> tuple[Floats, float]:
+    """Return how far a map leads from each landmark, (l,), and how far is too far; at unit area."""
+    here, there = landmarks
+    apart: Floats = np.linalg.norm(source.points[point_map[there]] - source.points[here], axis=1)
+    return apart, max(_FAR * source.spacing, _NEAR)
+
+
+def _kept(
+    point_map: Ints, on_faces: sparse.csr_array | None, landmarks: Pairs, held: Bools
+) -> tuple[Ints, sparse.csr_array | None]:
+    """Return a map, to points and into triangles, that leads right to the landmarks it holds."""
+    here, there = landmarks[0][held], landmarks[1][held]
+    out = point_map.copy()
+    out[there] = here
+    if on_faces is not None:
+        rows = on_faces.tolil()
+        rows[there] = 0.0
+        rows[there, here] = 1.0
+        on_faces = sparse.csr_array(rows)
+    return out, on_faces

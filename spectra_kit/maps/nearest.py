@@ -5,10 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.threads import in_threads, ranges, single_threaded_blas, thread_count
+from spectra_kit._core.threads import (
+    in_threads,
+    ranges,
+    shares,
+    single_threaded_blas,
+    thread_count,
+)
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import real_array
 from spectra_kit.errors import InvalidInputError
@@ -43,12 +50,6 @@ def nearest_rows(
     -------
     ndarray of shape (q,)
         Indices into `points`; the lowest of those at the same distance.
-
-    Raises
-    ------
-    InvalidInputError
-        If an array is not two-dimensional, not finite or empty, the widths differ, or torch cannot
-        use `device`.
 
     Notes
     -----
@@ -143,6 +144,51 @@ def nearest_torch(Q: torch.Tensor, X: torch.Tensor, *, exact: bool = True) -> to
             found[i] = rivals[squared.argmin()]
         out.append(found)
     return torch.cat(out)
+
+
+def nearest_each_way(rows1: Floats, rows2: Floats) -> tuple[Ints, Ints]:
+    """Return which row of the first is nearest to each of the second, and the reverse; few rows."""
+    first, second = rows1.astype(np.float32), rows2.astype(np.float32)
+    squares = (second**2).sum(axis=1)[:, None] + (first**2).sum(axis=1) - 2 * second @ first.T
+    return squares.argmin(axis=1), squares.argmin(axis=0)
+
+
+def nearest_columns(columns: NDArray[np.float32], rows: Floats) -> Ints:
+    """Return which column is nearest to each row (r, d), of each of many sets (c, d, s): (c, r)."""
+    scores = rows.astype(np.float32) @ columns
+    scores -= 0.5 * (columns**2).sum(axis=1)[:, None]
+    return np.asarray(scores.argmax(axis=2))
+
+
+def nearest_within(
+    ways: sparse.csr_array, source: tuple[Floats, Ints], target: tuple[Floats, Ints]
+) -> Ints:
+    """Return the row of the source nearest to each row of the target, of those that are allowed.
+
+    Of both sides: rows of all points, and the cell of each point. `ways`, (cells of the target,
+    cells of the source), is not zero where points of one may go to points of the other.
+    """
+    rows1, members1, starts1 = source[0], *_members(source[1], ways.shape[1])
+    rows2, members2, starts2 = target[0], *_members(target[1], ways.shape[0])
+    out = np.empty(len(rows2), dtype=np.int64)
+
+    def search(first: int, last: int) -> None:
+        for s in range(first, last):
+            here = members2[starts2[s] : starts2[s + 1]]
+            cells = ways.indices[ways.indptr[s] : ways.indptr[s + 1]]
+            pool = np.concatenate([members1[starts1[c] : starts1[c + 1]] for c in cells])
+            points = rows1[pool]
+            scores = rows2[here] @ points.T - 0.5 * np.einsum("pd,pd->p", points, points)
+            out[here] = pool[scores.argmax(axis=1)]
+
+    in_threads(search, shares(ways.shape[0]))
+    return out
+
+
+def _members(cells: Ints, count: int) -> tuple[Ints, Ints]:
+    """Return the points sorted by their cells, and where each cell begins."""
+    starts = np.concatenate([[0], np.cumsum(np.bincount(cells, minlength=count))])
+    return np.argsort(cells, kind="stable"), starts
 
 
 def _rounding(Q: Floats, X: Floats) -> Floats:

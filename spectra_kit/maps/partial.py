@@ -1,9 +1,22 @@
-"""`match_part`: which points of a whole have a partner on a part of another surface, and which."""
+"""`match_part`: which points of a whole have a partner on a part of another surface, and which.
+
+Regions of a whole that a part of another surface may be: the rest of it beyond its limbs.
+
+Points at the ends of limbs are local maxima of the biharmonic distance to all others. What lies
+within a distance of one or two of them is taken off the whole, or is all that is left. Of such
+regions those are likely whose points have the wave kernel signatures that the points of the part
+have, whichever point has which. The modes of a region come from those of the whole, as in partial
+functional maps (Rodola et al., *Partial Functional Correspondence*, CGF 2017): it costs no solve.
+Eigenvalues alone find regions, too (Rampini et al., *Correspondence-Free Region Localization for
+Partial Shape Similarity via Hamiltonian Spectrum Alignment*, 3DV 2019), but of other people's
+bodies they find the wrong ones more often.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -14,47 +27,46 @@ from spectra_kit._core.checked import checked
 from spectra_kit._core.threads import in_threads, single_threaded_blas
 from spectra_kit._core.types import Bools, Floats, Ints
 from spectra_kit._core.validate import check_count, warn
+from spectra_kit._sparse.ritz import ritz_pairs
 from spectra_kit.eigen import Spectrum, spectrum
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
-from spectra_kit.maps.convert import functional_map_from_point_map
-from spectra_kit.maps.elastic import Met, meeting
-from spectra_kit.maps.geodesic import edge_graph
-from spectra_kit.maps.match import Search, match, spectral_map
+from spectra_kit.features import wave_kernel_signature
+from spectra_kit.geodesics.edges import graph_of
+from spectra_kit.geometry import Geometry, TriangleMesh, largest_component
+from spectra_kit.maps.calibration import CONVINCING_PART
+from spectra_kit.maps.convert import induced
+from spectra_kit.maps.deform import Contact, contact
+from spectra_kit.maps.match import Search, matched, spectral_map
 from spectra_kit.maps.nearest import nearest
-from spectra_kit.maps.options import DEFAULT, MatchOptions
-from spectra_kit.maps.prepare import LOWEST_K, REFINED_K, Prepared, Surface, prepare
-from spectra_kit.maps.regions import (
-    LEAST_POINTS,
-    Region,
-    likely_regions,
-    mesh_of,
-    region,
-)
-from spectra_kit.maps.result import Candidate, Match
-from spectra_kit.maps.score import (
-    coverage_over_chance,
-    orientation_of,
-    scored,
-)
-from spectra_kit.maps.tears import torn
-from spectra_kit.maps.topology import topology_of
+from spectra_kit.maps.prepare import LOWEST_K, REFINED_K, Prepared, prepared, truncated
+from spectra_kit.maps.result import DEFAULT, Candidate, Match, MatchOptions
+from spectra_kit.maps.score import coverage_over_chance, orientation_of, scored
+from spectra_kit.maps.surface import Surface, discontinuity, topology_of
+from spectra_kit.operators import cotan_laplacian
 
 _TRIED = 12  # regions that are matched
 _REFINED = 3  # of which are followed
 _ROUNDS = 3  # in which their borders move
 _KEPT = 40  # modes of a map that outlive a move of the border
 _LOOSE = 0.1  # at unit area of the part: how far from its border nothing pulls it
-_FIRST_BENDS, _BENDS = 30, 4  # a border that nothing pulls needs more of them to settle
+_BENDS = 30, 4  # first and then: a border that nothing pulls needs more of them to settle
 _REACH = 0.05  # at unit area of the whole: what is farther off the bent part is no partner
-_SCORE = 0.4  # above which it is no part: the best of many regions is better than a map of wholes
 _MIRRORED_BY = 1.5  # how many times better a mirrored part must be: regions differ in score, too
 _ELSEWHERE = 0.1  # mean distance of images, from which on a candidate is a rival
+LEAST_POINTS = 200  # of a region that can be matched
+_BETWEEN = 0.3  # at unit area, the distance between ends of limbs: toes of a foot are one
+_ENDS = 8  # ends of limbs, at most
+_SHARES = 1 / (1 + np.exp(-np.linspace(-3.2, 0.6, 11)))  # of the area: taken off, or left
+_RITZ = 150  # modes of the whole that make those of a region
+_FEW = 20  # eigenvalues that are compared
+_COMPARED, _ENERGIES, _QUANTILES = 40, 30, 40  # modes, and what is compared of their signatures
+_DEPENDENT = 1e-2  # relative; functions smaller on the region, or nearly dependent, are left out
 
 
 @checked
 def match_part(
-    part: Prepared,
-    whole: Prepared,
+    part: Geometry | Prepared,
+    whole: Geometry | Prepared,
     *,
     mirrored: bool | None = None,
     k: int = 150,
@@ -67,17 +79,15 @@ def match_part(
 
     Parameters
     ----------
-    part, whole : Prepared
-        Connected meshes, prepared with their geometries; the whole best with 150 modes or more.
-        They are matched on all their points, however dense, which takes its time.
+    part, whole : TriangleMesh or Prepared
+        Connected meshes, or their files, or what was prepared of meshes; the whole best with 150
+        modes or more. They are matched on all their points, however dense, which takes its time.
     mirrored : bool, optional
         As of `match`.
     k : int, default 150
         Modes to end with, as of `match`.
     options : MatchOptions
-        What is tried and believed; `convincing_score` counts below 0.4, as the best of many
-        regions scores better than a map of wholes, and a mirrored part need be 1.5 times better,
-        whatever `mirrored_by` says.
+        What is tried; a mirrored part need be 1.5 times better, whatever `mirrored_by` says.
 
     Returns
     -------
@@ -87,11 +97,6 @@ def match_part(
         `functional_map` takes functions on the part to functions on the whole that are 0 elsewhere:
         its singular values are at most about the root of the share that is covered. Candidates are
         maps to regions of the whole, each of which is at unit area.
-
-    Raises
-    ------
-    InvalidInputError
-        If `part` or `whole` was prepared of a cloud, or of a spectrum alone, or `k` is below 30.
 
     Warns
     -----
@@ -118,22 +123,22 @@ def match_part(
 
     >>> import numpy as np
     >>> import spectra_kit as sk
-    >>> animal = sk.geometry.creature(1000)
+    >>> animal = sk.geometry.creature(700)
     >>> left = animal.points[:, 0] < 0.6
     >>> cut = sk.TriangleMesh(animal.points, animal.faces[left[animal.faces].all(axis=1)])
     >>> rest = sk.geometry.largest_component(cut)
-    >>> part, whole = (sk.prepare(sk.spectrum(m, 100), m) for m in (rest.mesh, animal))
+    >>> part, whole = (sk.prepare(sk.spectrum(m, 60), m) for m in (rest.mesh, animal))
     >>> found = sk.maps.match_part(part, whole, mirrored=False)
     >>> print((found.covered == left).mean())
     0.9...
     """
-    sides = (part, whole)
+    sides = [side if isinstance(side, Prepared) else prepared(side) for side in (part, whole)]
     part, whole = (side.on_all_points() for side in sides)
     for name, side in (("part", part), ("whole", whole)):
         _check_mesh(name, side)
     k = min(check_count("k", k, low=LOWEST_K), part.spectrum.k, whole.spectrum.k)
-    if not len(mesh_of(part).boundary_vertices):
-        usual = match(*sides, mirrored=mirrored, k=k, options=options)
+    if not len(part.surface.mesh.boundary_vertices):
+        usual = matched(*sides, mirrored=mirrored, k=k, options=options)
         return replace(usual, covered=np.ones(whole.spectrum.n, dtype=bool))
     ways = (False, True) if mirrored is None else (mirrored,)
     search = _PartSearch(part, whole, min(REFINED_K, k), options)
@@ -146,42 +151,33 @@ def match_part(
         chosen = best.trial
         side, bent = search.finished(chosen, k)
         rivals = [end.value for end in others if search.apart(end.trial, chosen) > _ELSEWHERE]
-    assert part.surface is not None
-    assert whole.surface is not None  # of meshes
     covered = covered_by(part, whole, bent)
     around = bent.back[chosen.piece.vertices]
     made = Match(
         point_map=bent.back,
         functional_map=_extended(part.spectrum, whole.spectrum, bent.back, covered, k),
         mirrored=chosen.candidate.mirrored,
-        orientation=orientation_of(
-            part, side, functional_map_from_point_map(part.spectrum, side.spectrum, around, k=k)
-        ),
+        orientation=orientation_of(part, side, induced(part.spectrum, side.spectrum, around, k, k)),
         margin=min(rivals) / best.value if rivals else float("inf"),
         mirror_margin=found[1][0].value / best.value if len(found) == 2 else float("inf"),
         consistent=1.0,
         coverage=coverage_over_chance(part.spectrum, side.spectrum, around),
-        torn=_torn(part, side, around),
+        discontinuity=discontinuity(part.surface, side.surface, around),
         candidates=(chosen.candidate, *(t.candidate for t in trials if t is not chosen)),
-        options=replace(options, convincing_score=min(_SCORE, options.convincing_score)),
         covered=covered,
+        convincing_score=CONVINCING_PART,
         rims=(topology_of(part.surface).rim, topology_of(whole.surface).rim),
     )
     if not made.convincing:
         open_ = "the whole is cut off, too; " * ("rims" in made.doubts)
         warn(
-            f"no convincing part: {open_}its mismatch is {made.score:.2f} (right parts: below"
-            f" {_SCORE:g}), and it covers {made.coverage:.2f} times as much as chance would",
+            f"no convincing part: {open_}its mismatch is {made.score:.2f} (right parts:"
+            f" below {CONVINCING_PART:g}), and it covers {made.coverage:.2f} times as much as"
+            " chance would",
             DoubtfulMatchWarning,
             advice="it may be no part of this surface; look at `covered`",
         )
     return made
-
-
-def _torn(part: Prepared, side: Prepared, around: Ints) -> float:
-    assert part.surface is not None
-    assert side.surface is not None  # of meshes
-    return torn(part.surface, side.surface, around)
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,10 +214,10 @@ class _PartSearch:
 
     def trials(self, ways: Sequence[bool]) -> list[_Trial]:
         """Return the candidates of all likely regions, the best first."""
-        few = self.part.truncate(self.low)
+        few = truncated(self.part, self.low)
         found = []
         for piece in likely_regions(self.part, self.whole, _TRIED):
-            side = _prepared(piece, self.low)
+            side = piece.prepared(self.low)
             search = Search(few, side, None, self.options)
             for candidates in in_threads(search.candidates, ((way,) for way in ways)):
                 found += [_Trial(piece, side, candidate) for candidate in candidates]
@@ -241,24 +237,23 @@ class _PartSearch:
             piece = region(self.whole, covered_by(self.part, self.whole, bent))
             if piece is None or len(piece.vertices) < LEAST_POINTS:
                 break
-            side = _prepared(piece, self.low)
+            side = piece.prepared(self.low)
             moved = self._retried(piece, side, bent.back[piece.vertices], trial)
             if moved.score >= trial.score:
                 break
             trial = moved
         return trial
 
-    def finished(self, trial: _Trial, k: int) -> tuple[Prepared, Met]:
+    def finished(self, trial: _Trial, k: int) -> tuple[Prepared, Contact]:
         """Return the region with k modes, and the part bent onto the whole by as many."""
-        side = _prepared(trial.piece, k)
+        side = trial.piece.prepared(k)
         few = self.part.spectrum.eigenvectors[:, : self.low] @ trial.candidate.functional_map.T
         there = nearest(trial.side.spectrum.eigenvectors, few)
-        start = functional_map_from_point_map(self.part.spectrum, side.spectrum, there, k=self.low)
+        start = induced(self.part.spectrum, side.spectrum, there, self.low, self.low)
         return side, self._bent_by(start, trial, side, k)
 
     def apart(self, one: _Trial, other: _Trial) -> float:
         """Return how far the images of a point of the part are apart, on average."""
-        assert self.whole.surface is not None
         places = [self.whole.surface.points[self._image(trial)] for trial in (one, other)]
         return float(np.linalg.norm(places[0] - places[1], axis=1).mean())
 
@@ -271,11 +266,11 @@ class _PartSearch:
 
     def _retried(self, piece: Region, side: Prepared, around: Ints, trial: _Trial) -> _Trial:
         """Return the trial of a region, of which a point map to the part is known."""
-        mirrored, few = trial.candidate.mirrored, self.part.truncate(self.low)
+        mirrored, few = trial.candidate.mirrored, truncated(self.part, self.low)
         k = min(_KEPT, self.low)
-        start = functional_map_from_point_map(few.spectrum, side.spectrum, around, k=k)
+        start = induced(few.spectrum, side.spectrum, around, k, k)
         C = spectral_map(few, side, start, self.low)[0].functional_map
-        return _Trial(piece, side, scored(few, side, C, mirrored=mirrored, options=self.options))
+        return _Trial(piece, side, scored(few, side, C, mirrored=mirrored))
 
     def _loose(self, area: float) -> Surface:
         """Return the part at an area, without mass near its border: nothing pulls it there.
@@ -284,40 +279,38 @@ class _PartSearch:
         part shall be where the rest of it says.
         """
         surface = self.part.surface
-        assert surface is not None
-        mesh = mesh_of(self.part)
+        mesh = self.part.surface.mesh
         depth = dijkstra(
-            edge_graph(mesh), directed=False, indices=mesh.boundary_vertices, min_only=True
+            graph_of(mesh), directed=False, indices=mesh.boundary_vertices, min_only=True
         )
         held = depth >= min(_LOOSE, np.median(depth))
         return replace(surface, points=surface.points * area**0.5, mass=surface.mass * area * held)
 
-    def _bent(self, trial: _Trial) -> Met:
+    def _bent(self, trial: _Trial) -> Contact:
         return self._bent_by(trial.candidate.functional_map, trial, trial.side, self.low)
 
-    def _bent_by(self, start: Floats, trial: _Trial, side: Prepared, k: int) -> Met:
+    def _bent_by(self, start: Floats, trial: _Trial, side: Prepared, k: int) -> Contact:
         """Bend the part onto the whole, at the size of the region, from a map to the region."""
-        assert self.whole.surface is not None
         way_there = spectral_map(self.part, side, start, k)[1]
-        return meeting(
+        return contact(
             self._loose(trial.piece.area),
             self.whole.surface,
             trial.piece.vertices[way_there],
             mirrored=trial.candidate.mirrored,
-            options=replace(self.options, first_bends=_FIRST_BENDS, bends=_BENDS),
+            rounds=self.options.rounds,
+            bends=_BENDS,
         )
 
 
-def covered_by(part: Prepared, whole: Prepared, bent: Met) -> Bools:
+def covered_by(part: Prepared, whole: Prepared, bent: Contact) -> Bools:
     """Tell which points of the whole lie on the part that was bent onto it.
 
     Not those that are beyond its border where that is nearest, by more than half the step from the
     neighbours to the border, or farther off than the reach; nor pieces of the rest that the part
     itself hardly touches.
     """
-    assert whole.surface is not None
-    mesh, points = mesh_of(part), whole.surface.points
-    steps = _links(edge_graph(mesh))
+    mesh, points = part.surface.mesh, whole.surface.points
+    steps = _links(graph_of(mesh))
     middle = (steps @ bent.points) / (steps @ np.ones(mesh.n))[:, None]
     border = np.isin(np.arange(mesh.n), mesh.boundary_vertices)
     there = bent.points[bent.back]
@@ -325,7 +318,7 @@ def covered_by(part: Prepared, whole: Prepared, bent: Met) -> Bools:
     step = ((points - there - 0.5 * outwards) * outwards).sum(axis=1)
     beyond = border[bent.back] & (step > 0)
     near = np.flatnonzero(~beyond & (np.linalg.norm(points - there, axis=1) < _REACH))
-    links = _links(edge_graph(mesh_of(whole)))
+    links = _links(graph_of(whole.surface.mesh))
     _, piece = connected_components(links[near][:, near], directed=False)
     touched = np.zeros(len(points))
     touched[bent.there] = 1.0
@@ -344,10 +337,6 @@ def _links(graph: sparse.csr_array) -> sparse.csr_array:
     return out
 
 
-def _prepared(piece: Region, k: int) -> Prepared:
-    return prepare(spectrum(piece.mesh, k), piece.mesh).on_all_points()
-
-
 def _extended(a: Spectrum, b: Spectrum, point_map: Ints, covered: Bools, k: int) -> Floats:
     """Return the functional map of functions that are 0 where nothing is covered, (k, k)."""
     rows = b.eigenvectors[covered, :k] * b.mass[covered, None]
@@ -356,11 +345,135 @@ def _extended(a: Spectrum, b: Spectrum, point_map: Ints, covered: Bools, k: int)
 
 
 def _check_mesh(name: str, side: Prepared) -> None:
-    surface = side.surface
-    if surface is None or (surface.oriented.weights != 1).any():
+    surface = side.geometry
+    if surface is None or not surface.is_mesh:
         raise InvalidInputError(
             name,
             "be prepared of a mesh",
             "a spectrum alone" if surface is None else "a cloud",
             advice="pass the mesh to prepare",
         )
+
+
+# --- regions -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A connected region of a surface as a mesh of its own."""
+
+    mesh: TriangleMesh
+    vertices: Ints  # (n,): of the surface, ascending
+    area: float  # of the surface's 1
+
+    def prepared(self, k: int) -> Prepared:
+        """Return it with k modes of its own, to be matched on all its points."""
+        return prepared(spectrum(self.mesh, k), self.mesh).on_all_points()
+
+
+def region(whole: Prepared, kept: Bools) -> Region | None:
+    """Return the largest piece of the triangles with at least two corners kept, if there is one.
+
+    Not of those with three: they would all lie on one side of the line between the vertices.
+    """
+    mesh = whole.surface.mesh
+    faces = mesh.faces[kept[mesh.faces].sum(axis=1) >= 2]
+    if not len(faces):
+        return None
+    return _piece(whole, TriangleMesh(mesh.points, faces))
+
+
+def _piece(whole: Prepared, mesh: TriangleMesh) -> Region:
+    """Return the largest piece of a mesh of some of the triangles of a whole."""
+    piece = largest_component(mesh)
+    return Region(piece.mesh, piece.vertex_index, piece.mesh.area / whole.surface.mesh.area)
+
+
+def likely_regions(part: Prepared, whole: Prepared, count: int) -> list[Region]:
+    """Return `count` regions of the whole, or all there are: those likest to the part.
+
+    By the mean difference of the logarithms of wave kernel signatures, the lowest with the lowest,
+    the next with the next, and by that of eigenvalues; in turn, the likest first. Regions of a
+    family differ in their area alone, so each names one by each measure. The whole is a family.
+    """
+    k = min(_COMPARED, part.spectrum.k, whole.spectrum.k)
+    wanted = _seen(part.spectrum.truncate(k))
+
+    def unlikeness(piece: Region) -> tuple[float, float]:
+        operator = cotan_laplacian(piece.mesh)
+        basis = whole.spectrum.eigenvectors[piece.vertices, :_RITZ]
+        pairs = ritz_pairs(operator.stiffness, operator.mass, basis, k, rank_tol=_DEPENDENT)
+        if len(pairs.eigenvalues) < k:  # too small for the modes of the whole to tell
+            return np.inf, np.inf
+        values = np.append(0.0, pairs.eigenvalues[1:])
+        found = Spectrum(values, pairs.eigenvectors, operator.mass)
+        seen = _seen(found.rescale(found.area**-0.5))
+        return float(np.abs(seen[0] - wanted[0]).mean()), float(np.abs(seen[1] - wanted[1]).mean())
+
+    families = [family for family in _families(whole) if family]
+    measured = [[(unlikeness(piece), piece) for piece in family] for family in families]
+    ranked = []
+    for way in (0, 1):
+        best = [min(family, key=lambda found: found[0][way]) for family in measured]
+        ranked.append([piece for _, piece in sorted(best, key=lambda found: found[0][way])])
+    in_turn = [piece for pair in zip(*ranked, strict=True) for piece in pair]
+    return list(dict.fromkeys(in_turn))[:count]
+
+
+def _seen(unit: Spectrum) -> tuple[Floats, Floats]:
+    """Return the logarithms that are compared: of `_signatures`, and of eigenvalues."""
+    return np.log(_signatures(unit)), np.log(unit.eigenvalues[1:_FEW])
+
+
+def _signatures(unit: Spectrum) -> Floats:
+    """Return quantiles of wave kernel signatures over the area, (q, e), for each energy."""
+    signatures = wave_kernel_signature(unit, count=_ENERGIES)
+    order = np.argsort(signatures, axis=0)
+    ranked = np.take_along_axis(signatures, order, axis=0)
+    shares = np.cumsum(unit.mass[order], axis=0) / unit.area
+    at = (np.arange(_QUANTILES) + 0.5) / _QUANTILES
+    columns = [np.interp(at, x, y) for x, y in zip(shares.T, ranked.T, strict=True)]
+    return np.column_stack(columns)
+
+
+def limb_ends(whole: Prepared) -> Ints:
+    """Return the points at the ends of limbs, the farthest from all others first.
+
+    Local maxima of the mean squared biharmonic distance to all points, which is
+    ``sum(u^2 / lambda^2)`` over the modes and a constant; see `features.biharmonic_distances`.
+    """
+    spectrum = whole.spectrum.nonzero()
+    far = ((spectrum.eigenvectors / spectrum.eigenvalues) ** 2).sum(axis=1)
+    graph = graph_of(whole.surface.mesh)
+    around = np.maximum.reduceat(far[graph.indices], graph.indptr[:-1])
+    tops = np.flatnonzero(far >= around)
+    tops = tops[np.argsort(-far[tops], kind="stable")]
+    apart = dijkstra(graph, directed=False, indices=tops)[:, tops]
+    ends: list[int] = []
+    for i in range(len(tops)):
+        if (apart[i, ends] > _BETWEEN).all():
+            ends.append(i)
+    return tops[ends[:_ENDS]]
+
+
+def _families(whole: Prepared) -> Iterator[list[Region]]:
+    """Yield the whole, then regions beyond, and within, a distance of one or two ends of limbs."""
+    yield [_piece(whole, whole.surface.mesh)]
+    mass, graph = whole.spectrum.mass, graph_of(whole.surface.mesh)
+    ends = limb_ends(whole)
+    distances = dijkstra(graph, directed=False, indices=ends)
+    for count in (1, 2):
+        for chosen in combinations(range(len(ends)), count):
+            order = np.argsort(distances[list(chosen)].min(axis=0), kind="stable")
+            place = np.empty(len(order))
+            place[order] = np.cumsum(mass[order])
+            for kept in (place[None] > _SHARES[:, None], place[None] <= _SHARES[:, None]):
+                pieces = (region(whole, row) for row in kept)
+                wanted = kept @ mass
+                yield [
+                    piece
+                    for piece, area in zip(pieces, wanted, strict=True)
+                    if piece is not None
+                    and piece.area > 0.9 * area
+                    and len(piece.vertices) >= LEAST_POINTS
+                ]

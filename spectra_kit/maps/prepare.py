@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,15 +11,15 @@ from spectra_kit._core.threads import blas_threads_for, single_threaded_blas
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import Rebuilt, check_count
 from spectra_kit.eigen import Spectrum
+from spectra_kit.eigen import spectrum as solved
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.features import farthest_points, wave_kernel_signature
 from spectra_kit.geometry import Geometry
-from spectra_kit.maps.curvature import smoothed_mean_curvature
-from spectra_kit.maps.dense import Dense, thinned
-from spectra_kit.maps.lengths import lengths_from
-from spectra_kit.maps.placed import Placed
+from spectra_kit.maps.subsample import Subsample, thinned
+from spectra_kit.maps.surface import Surface, smoothed_mean_curvature
 from spectra_kit.operators.oriented import area_form, oriented_triangles
 
+MODES = 150  # of a geometry that comes without its spectrum: these match best
 LOWEST_K = 30  # modes without which there is no matching: to which candidates grow
 REFINED_K = 60  # modes to which candidates are refined
 CURVATURE_SCALE = 2.0  # of each curvature beside modes, in the last steps: it counts like four
@@ -29,15 +29,8 @@ _ENDS = 60  # samples from which lengths are measured: the first are the tips of
 _CURVATURES = (80, 40, 20, 10)  # modes whose heat times smooth the curvature, fine to coarse
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Surface(Placed):
-    """What the geometry of a surface adds to its spectrum, at unit area."""
-
-    #: Smoothed mean curvature, (n, 4), fine to coarse: minus its mean, divided by its standard
-    #: deviation (zero where it does not vary).
-    curvature: Floats
-    form: Floats  # (q, q, q): the integrals of ``u_a du_b ^ du_c`` of the lowest modes
-    lengths: Floats  # (p, n): of the ways from the first samples to all points
+def _nothing() -> Floats:
+    return np.empty((0, 0))
 
 
 @checked
@@ -55,22 +48,54 @@ class Prepared(Rebuilt):
         Well-spread points, the first ones the farthest apart.
     wave : ndarray of shape (n, e)
         Wave kernel signature.
-    surface : Surface or None
-        What the geometry adds; None without one.
-    dense : Dense or None
+    geometry : Surface or None
+        The mesh or cloud in the unit frame; None without one.
+    curvature : ndarray of shape (n, 4)
+        Smoothed mean curvature, fine to coarse: minus its mean, divided by its standard deviation
+        (zero where it does not vary). Empty, as what follows, without a geometry.
+    form : ndarray of shape (q, q, q)
+        Area form of the lowest modes: the integrals of ``u_a du_b ^ du_c``.
+    lengths : ndarray of shape (p, n)
+        Of the ways from the first samples to all points.
+    subsample : Subsample or None
         Of a dense surface: all its points, and which were chosen.
     """
 
     spectrum: Spectrum
     samples: Ints
     wave: Floats
-    surface: Surface | None = None
-    dense: Dense | None = None
+    geometry: Surface | None = None
+    curvature: Floats = field(default_factory=_nothing)
+    form: Floats = field(default_factory=_nothing)
+    lengths: Floats = field(default_factory=_nothing)
+    subsample: Subsample | None = None
+
+    @property
+    def surface(self) -> Surface:
+        """The geometry, where there must be one."""
+        if self.geometry is None:
+            raise InvalidInputError("surface", "come with its geometry", repr(self))
+        return self.geometry
 
     @property
     def whole(self) -> Spectrum:
         """The spectrum on all points of the surface, dense or not."""
-        return self.spectrum if self.dense is None else self.dense.spectrum
+        return self.spectrum if self.subsample is None else self.subsample.spectrum
+
+    @property
+    def whole_surface(self) -> Surface:
+        """The geometry of all points of the surface, where there must be one."""
+        return self.surface if self.subsample is None else self.subsample.surface
+
+    @property
+    def chosen(self) -> Ints:
+        """Which of all points the surface is matched on, (n,)."""
+        return np.arange(self.spectrum.n) if self.subsample is None else self.subsample.chosen
+
+    @property
+    def closest(self) -> Ints:
+        """Which of the matched points stands for each of all points."""
+        return np.arange(self.spectrum.n) if self.subsample is None else self.subsample.closest
 
     def on_all_points(self) -> Prepared:
         """Return the surface prepared to be matched on all its points, dense or not.
@@ -80,9 +105,9 @@ class Prepared(Rebuilt):
         Prepared
             As if `n_points` had been large enough.
         """
-        if self.dense is None:
+        if self.subsample is None:
             return self
-        return _gathered(self.dense.spectrum, self.dense.placed, len(self.samples))
+        return _gathered(self.subsample.spectrum, self.subsample.surface, len(self.samples))
 
     def truncate(self, k: int) -> Prepared:
         """Return the surface prepared with its first k modes alone.
@@ -97,22 +122,17 @@ class Prepared(Rebuilt):
         Prepared
             As if it had been made of a truncated spectrum.
         """
-        if check_count("k", k, low=LOWEST_K, high=self.spectrum.k) == self.spectrum.k:
-            return self
-        if self.dense is not None:
-            whole, count = self.dense.spectrum.truncate(k), len(self.dense.chosen)
-            return _gathered_on(thinned(whole, self.dense.placed, count), len(self.samples))
-        return _gathered(self.spectrum.truncate(k), self.surface, len(self.samples))
+        return truncated(self, check_count("k", k, low=LOWEST_K, high=self.spectrum.k))
 
     def __repr__(self) -> str:
-        seen = "spectrum alone" if self.surface is None else "spectrum and geometry"
-        some = "" if self.dense is None else f" of {self.dense.spectrum.n}"
+        seen = "spectrum alone" if self.geometry is None else "spectrum and geometry"
+        some = "" if self.subsample is None else f" of {self.whole.n}"
         return f"Prepared(n={self.spectrum.n}{some}, k={self.spectrum.k}, from {seen})"
 
 
 @checked
 def prepare(
-    spectrum: Spectrum,
+    spectrum: Geometry | Spectrum,
     geometry: Geometry | None = None,
     *,
     n_samples: int = 600,
@@ -122,8 +142,9 @@ def prepare(
 
     Parameters
     ----------
-    spectrum : Spectrum
-        Of one connected surface, in any unit, with at least 30 modes.
+    spectrum : Spectrum, TriangleMesh or PointCloud
+        Of one connected surface, in any unit, with at least 30 modes. Of a geometry alone, or its
+        file, the lowest 150 modes are solved for.
     geometry : TriangleMesh or PointCloud, optional
         The surface, in the same unit: its sides and its curvature. Faces that are wound against
         their neighbours are turned for it, with a `DoubtfulMatchWarning`; where that does not make
@@ -143,9 +164,9 @@ def prepare(
     Raises
     ------
     InvalidInputError
-        If the spectrum has fewer than 30 modes, no constant mode or several components,
-        `n_samples` is below 200 or `n_points` below 1000, the geometry has other points or another
-        area, or a dense one has a tiny piece that is not connected to the rest.
+        If the spectrum has fewer than 30 modes, no constant mode or several components, the
+        geometry has other points or another area, or a dense one has a tiny piece that is not
+        connected to the rest.
 
     Examples
     --------
@@ -156,6 +177,20 @@ def prepare(
     """
     check_count("n_samples", n_samples, low=200)
     check_count("n_points", n_points, low=1000)
+    return prepared(spectrum, geometry, n_samples, n_points)
+
+
+def prepared(
+    spectrum: Geometry | Spectrum,
+    geometry: Geometry | None = None,
+    n_samples: int = 600,
+    n_points: int = 5000,
+) -> Prepared:
+    """Do the same with checked arguments."""
+    if not isinstance(spectrum, Spectrum):
+        if geometry is not None:
+            raise InvalidInputError("geometry", "be left out where `spectrum` is one", "another")
+        geometry, spectrum = spectrum, solved(spectrum, min(MODES, spectrum.n))
     if spectrum.k < LOWEST_K:
         raise InvalidInputError(
             "spectrum",
@@ -181,33 +216,55 @@ def prepare(
     scale = spectrum.area**-0.5
     unit = spectrum.rescale(scale)
     with blas_threads_for(unit.eigenvectors.size):
-        placed = None if geometry is None else _placed(unit, geometry, scale)
-        if placed is None or unit.n <= 2 * n_points:
-            return _gathered(unit, placed, min(n_samples, unit.n))
+        surface = None if geometry is None else _in_unit_frame(unit, geometry, scale)
+        if surface is None or unit.n <= 2 * n_points:
+            return _gathered(unit, surface, min(n_samples, unit.n))
     with single_threaded_blas():
-        return _gathered_on(thinned(unit, placed, n_points), min(n_samples, n_points))
+        return _gathered_on(thinned(unit, surface, n_points), min(n_samples, n_points))
 
 
-def _gathered_on(dense: Dense, n_samples: int) -> Prepared:
+def truncated(side: Prepared, k: int) -> Prepared:
+    """Return a surface with its first k modes; see `Prepared.truncate`."""
+    if k == side.spectrum.k:
+        return side
+    if (subsample := side.subsample) is not None:
+        whole, count = subsample.spectrum.truncate(k), len(subsample.chosen)
+        return _gathered_on(thinned(whole, subsample.surface, count), len(side.samples))
+    return _gathered(side.spectrum.truncate(k), side.geometry, len(side.samples))
+
+
+def _gathered_on(subsample: Subsample, n_samples: int) -> Prepared:
     """Return a dense surface with all that depends on its modes, at its chosen points."""
-    return _gathered(*dense.at_chosen(), n_samples, dense)
+    return _gathered(*subsample.at_chosen(), n_samples, subsample)
 
 
 def _gathered(
-    unit: Spectrum, placed: Placed | None, n_samples: int, dense: Dense | None = None
+    unit: Spectrum, surface: Surface | None, n_samples: int, subsample: Subsample | None = None
 ) -> Prepared:
     """Return a surface at unit area with all that depends on its modes."""
     samples = farthest_points(unit, n_samples)
+    wave = wave_kernel_signature(unit, count=60)
+    if surface is None:
+        return Prepared(spectrum=unit, samples=samples, wave=wave)
+    curvature = smoothed_mean_curvature(
+        unit, surface.points, surface.oriented, tuple(min(mode, unit.k - 1) for mode in _CURVATURES)
+    )
+    curvature -= unit.mass @ curvature
+    spread = np.sqrt(unit.mass @ curvature**2)
+    varies = spread > _EVEN
     return Prepared(
         spectrum=unit,
         samples=samples,
-        wave=wave_kernel_signature(unit, count=60),
-        surface=None if placed is None else _surface(unit, placed, samples),
-        dense=dense,
+        wave=wave,
+        geometry=surface,
+        curvature=np.divide(curvature, spread, out=np.zeros_like(curvature), where=varies),
+        form=area_form(surface.oriented, unit.eigenvectors[:, : min(FORM_K, unit.k)]),
+        lengths=surface.lengths_from(samples[:_ENDS]),
+        subsample=subsample,
     )
 
 
-def _placed(unit: Spectrum, geometry: Geometry, scale: float) -> Placed:
+def _in_unit_frame(unit: Spectrum, geometry: Geometry, scale: float) -> Surface:
     """Return a geometry at unit area, and which side is out."""
     if geometry.n != unit.n:
         raise InvalidInputError(
@@ -222,25 +279,7 @@ def _placed(unit: Spectrum, geometry: Geometry, scale: float) -> Placed:
             f"{area:.3g} times its area",
             advice="pass the geometry that the spectrum was computed of",
         )
-    return Placed(points=geometry.points * scale, mass=unit.mass, oriented=oriented)
-
-
-def _surface(unit: Spectrum, placed: Placed, samples: Ints) -> Surface:
-    """Return what the geometry adds to the spectrum."""
-    curvature = smoothed_mean_curvature(
-        unit, placed.points, placed.oriented, tuple(min(mode, unit.k - 1) for mode in _CURVATURES)
-    )
-    curvature -= unit.mass @ curvature
-    spread = np.sqrt(unit.mass @ curvature**2)
-    varies = spread > _EVEN
-    return Surface(
-        points=placed.points,
-        mass=unit.mass,
-        oriented=placed.oriented,
-        curvature=np.divide(curvature, spread, out=np.zeros_like(curvature), where=varies),
-        form=area_form(placed.oriented, unit.eigenvectors[:, : min(FORM_K, unit.k)]),
-        lengths=lengths_from(placed, samples[:_ENDS]),
-    )
+    return Surface(points=geometry.points * scale, mass=unit.mass, oriented=oriented)
 
 
 def curvatures(source: Prepared, target: Prepared) -> tuple[Floats, Floats] | None:
@@ -249,7 +288,12 @@ def curvatures(source: Prepared, target: Prepared) -> tuple[Floats, Floats] | No
     None without geometries, or where one of them does not bend: curvature tells a sheet from the
     same sheet rolled up, but not where its points are.
     """
-    if source.surface is None or target.surface is None:
+    if source.geometry is None or target.geometry is None:
         return None
-    both = source.surface.curvature, target.surface.curvature
+    both = source.curvature, target.curvature
     return both if all(c.any(axis=0).all() for c in both) else None
+
+
+def on_matched(source: Prepared, target: Prepared, point_map: Ints) -> Ints:
+    """Return the map of all points between the points that the surfaces are matched on."""
+    return source.closest[point_map[target.chosen]]

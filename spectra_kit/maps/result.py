@@ -1,4 +1,4 @@
-"""What a match returns: the map, what it was chosen from, and how sure that is."""
+"""What a match is asked to try, and what it returns: the map, its rivals, how sure that is."""
 
 from __future__ import annotations
 
@@ -10,25 +10,73 @@ from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Bools, Floats, Ints
-from spectra_kit._core.validate import Rebuilt, real_array
+from spectra_kit._core.validate import Rebuilt, check_count, check_weights, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.maps.confidence import confidence_of
-from spectra_kit.maps.options import DEFAULT, MatchOptions
+from spectra_kit.maps import calibration
 
 #: What may be wrong with a map: see `Match.doubts`.
 Doubt = Literal[
-    "margin", "mirror_margin", "alike", "orientation", "consistent", "coverage", "score", "torn",
-    "genera", "rims", "landmark_distances",
+    "margin", "mirror_margin", "alike", "orientation", "consistent", "coverage", "score",
+    "discontinuity", "genera", "rims", "landmark_distances",
 ]  # fmt: skip
 _AMBIGUOUS = {"margin", "mirror_margin", "alike", "orientation", "consistent"}
 _ALONE = {"alike", "rims", "score"}  # that count by themselves
-_OTHERS = {"orientation", "coverage", "torn", "genera"}  # right maps have one at most
+_OTHERS = {"orientation", "coverage", "discontinuity", "genera"}  # right maps have one at most
 
 _CLUSTERED = 1.5  # times chance: bodies and animals have less, round shapes more
 _NOTHING_SHARED = 1.0  # squared difference per mode: half of that of maps at random
 _ALIKE = 2.0  # a map that is right scores better than one that shares nothing with it by more
 _GOOD = 0.1  # what scores better is right by itself, as far as can be seen
 _OPEN = 0.5  # length of a rim at unit area: a round hole of 2 % of the area has it
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class MatchOptions:
+    """How much `match` tries; measured on pairs of bodies and animals.
+
+    What maps are made of, as numbers of modes and samples, is no option: a choice of one of them
+    decides what the others must be. Nor is what was fitted (`maps.calibration`).
+
+    Parameters
+    ----------
+    orders : int, default 32
+        Likeliest orders of the lowest seven modes that are tried, each with all 64 choices of
+        signs: 2048 candidates in all.
+    growing : int, default 96
+        How many of these start to grow.
+    turns : int, default 12
+        Turns about its longest axis in which the source is laid onto the target, either way along
+        it.
+    finalists : int, default 8
+        Candidates that are refined.
+    rounds : int, default 5
+        Of finding nearest points, as the source is bent onto the target.
+    mirrored_by : float, default 3.0
+        How many times better a mirrored map must be to be believed.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> sk.maps.MatchOptions(finalists=12).finalists
+    12
+    """
+
+    orders: int = 32
+    growing: int = 96
+    turns: int = 12
+    finalists: int = 8
+    rounds: int = 5
+    mirrored_by: float = 3.0
+
+    def __post_init__(self) -> None:
+        for name in ("orders", "growing", "turns", "finalists", "rounds"):
+            check_count(name, getattr(self, name), low=1)
+        check_weights({"mirrored_by": self.mirrored_by})
+
+
+#: What functions take without options of their own.
+DEFAULT = MatchOptions()
 
 
 @checked
@@ -41,9 +89,9 @@ class Candidate(Rebuilt):
     functional_map : ndarray of shape (k, k)
         Refined to some 60 modes.
     score : float
-        The lower, the better: `maps.score_of` of the mismatches.
+        The lower, the better, at least 0.001: the weighted geometric mean of the mismatches.
     mismatches : dict of str to float
-        What the score is made of; see `maps.mismatches`.
+        What the score is made of; see `maps.score_map`.
     mirrored : bool
         Whether the map turns the surface over, like a mirror.
     """
@@ -85,17 +133,15 @@ class Match(Rebuilt):
         Area of the source that the target points reach, over what as many thrown at random would
         reach: above 1.1 for right maps, whatever the resolutions. Of dense surfaces, by the points
         that they are matched on.
-    torn : float or None
-        Share of the target's edges whose ends lead far apart: six times their length and more. None
-        if a geometry is missing.
+    discontinuity : float or None
+        How much of the map is torn: the share of the target's edges whose ends lead far apart, six
+        times their length and more. None if a geometry is missing.
     candidates : tuple of Candidate
         Those that were refined and came out different, the chosen one first.
     precise : csr_array of shape (n2, n1) or None
         Where on a triangle of the source each target point lies, if that was asked for: rows of at
         most three barycentric coordinates, which are positive and sum to 1. The map times values at
         the source points, or the points themselves, gives those at the target points.
-    options : MatchOptions
-        How they were found and judged.
     covered : ndarray of bool of shape (n2,), optional
         Which target points have a partner on a source that is a part; see `match_part`. None where
         both are wholes, and all points have one.
@@ -112,6 +158,8 @@ class Match(Rebuilt):
     lost_from : float
         Beyond which distance a landmark is lost: three steps between neighbours of the source, or
         0.05 where that is more.
+    convincing_score : float
+        Above which the score speaks against the map: 0.42, or 0.4 of the best of many regions.
     """
 
     point_map: Ints
@@ -122,16 +170,16 @@ class Match(Rebuilt):
     mirror_margin: float
     consistent: float
     coverage: float
-    torn: float | None
+    discontinuity: float | None
     candidates: tuple[Candidate, ...]
     precise: sparse.csr_array | None = None
-    options: MatchOptions = DEFAULT
     covered: Bools | None = None
     clustered: float = 1.0
     genera: tuple[int, int] | None = None
     rims: tuple[float, float] = (0.0, 0.0)
     landmark_distances: Floats | None = None
     lost_from: float = float("inf")
+    convincing_score: float = calibration.CONVINCING_SCORE
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -190,9 +238,9 @@ class Match(Rebuilt):
         turned or mirrored, a wrong map looks like a right one. See `ambiguous`.
         """
         margin = self.margin if len(self.candidates) > 1 else None
-        likely = confidence_of(
+        likely = calibration.confidence_of(
             score=self.score,
-            torn=self.torn,
+            discontinuity=self.discontinuity,
             margin=margin,
             coverage=self.coverage,
             against=len({"orientation", "genera"} & set(self.doubts)),
@@ -228,18 +276,19 @@ class Match(Rebuilt):
     @property
     def doubts(self) -> tuple[Doubt, ...]:
         """Names of the attributes that speak against the map."""
-        limits, kept, held = self.options, 1.0, self.landmarks_held
+        kept, held = 1.0, self.landmarks_held
         if self.orientation is not None:
             kept = -self.orientation if self.mirrored else self.orientation
         clear: dict[Doubt, bool] = {
-            "margin": self.margin >= limits.clear_margin,
-            "mirror_margin": self.mirror_margin * limits.doubtful_mirror >= 1,
+            "margin": self.margin >= calibration.CLEAR_MARGIN,
+            "mirror_margin": self.mirror_margin * calibration.DOUBTFUL_MIRROR >= 1,
             "alike": self.alike == 0,
-            "orientation": kept >= limits.clear_orientation,
-            "consistent": self.consistent >= limits.clear_sides,
-            "coverage": self.coverage >= limits.convincing_coverage,
-            "score": self.score <= limits.convincing_score,
-            "torn": self.torn is None or self.torn <= limits.convincing_torn,
+            "orientation": kept >= calibration.CLEAR_ORIENTATION,
+            "consistent": self.consistent >= calibration.CLEAR_SIDES,
+            "coverage": self.coverage >= calibration.CONVINCING_COVERAGE,
+            "score": self.score <= self.convincing_score,
+            "discontinuity": self.discontinuity is None
+            or self.discontinuity <= calibration.CONVINCING_DISCONTINUITY,
             "genera": self.genera is None or self.genera[0] == self.genera[1],
             "rims": self._rims_agree(),
             "landmark_distances": held is None or bool(held.all()),
@@ -257,7 +306,7 @@ class Match(Rebuilt):
         if self.covered is not None:
             return not open2
         if open1 and open2:
-            return self.score <= 0.5 * self.options.convincing_score
+            return self.score <= 0.5 * self.convincing_score
         return abs(self.rims[0] - self.rims[1]) <= _OPEN
 
     def __repr__(self) -> str:

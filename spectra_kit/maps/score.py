@@ -1,30 +1,34 @@
-"""How good a candidate map is, without ground truth."""
+"""How good a map is without ground truth, as a whole and at each point."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import numpy as np
+from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_indices, real_array
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.maps.checks import check_point_map
-from spectra_kit.maps.lengths import changed
+from spectra_kit.maps.calibration import confidence_at, score_of
+from spectra_kit.maps.convert import check_point_map
 from spectra_kit.maps.nearest import nearest
-from spectra_kit.maps.options import DEFAULT, MatchOptions
-from spectra_kit.maps.prepare import Prepared, curvatures
-from spectra_kit.maps.result import Candidate
+from spectra_kit.maps.prepare import Prepared, curvatures, on_matched, truncated
+from spectra_kit.maps.result import Candidate, Match
+from spectra_kit.maps.subsample import neighbours
+from spectra_kit.maps.surface import changed, lengths_of
+
+Pairs = tuple[Ints, Ints]
 
 _CURVATURES = 2  # of the smoothed ones that are scored, from the finest
 _ROUGH_SAMPLES = 200
-_LEAST = 1e-3  # below which mismatches count as equally good
+_ORIENTED = 20  # modes whose area forms tell the orientation of a map
+_ROUNDS = 3  # of averaging over neighbours
+_SHORT = 0.3  # of an edge: images nearer than that are at one place
 
 
 @checked
-def mismatches(
+def score_map(
     source: Prepared,
     target: Prepared,
     functional_map: Floats,
@@ -32,8 +36,8 @@ def mismatches(
     mirrored: bool = False,
     landmarks: tuple[Ints, Ints] | None = None,
     rough: bool = False,
-) -> dict[str, float]:
-    """Return what a map of good surfaces keeps small, each in [0, about 1], dimensionless.
+) -> Candidate:
+    """Score a map by what maps of good surfaces keep small.
 
     Parameters
     ----------
@@ -51,23 +55,19 @@ def mismatches(
 
     Returns
     -------
-    dict of str to float
+    Candidate
+        The map with its score and these mismatches, each in [0, about 1], dimensionless.
         ``embedding``: distance of the rows ``U2`` to their nearest in ``U1 C^T``, relative to their
         length; ``spacing``: ``|C diag(lambda1) - diag(lambda2) C|^2 / |lambda2|^2``, zero for
         isometries; ``wave``: relative difference of the wave kernel signatures; ``curvature``: that
         of the smoothed mean curvatures, both ways, where both surfaces bend; ``orientation``:
-        (1 - t) / 2 with the orientation t of `orientation_of`; ``lengths``: that of the lengths of
-        ways between 60 samples of either side, unless `rough`; ``landmarks``: biharmonic distance
-        between where the map takes the landmarks and where they belong, relative to the root mean
-        square of the source. The candidates of a `match` have an ``alignment`` besides, which a map
-        does not have by itself: how far the source, bent by it in its lowest modes, stays from the
-        target in positions, normals and curvature.
-
-    Raises
-    ------
-    InvalidInputError
-        If the map is not square, has more rows than either surface has modes or is not finite, or a
-        landmark is out of range.
+        (1 - t) / 2, where t, the correlation of the area forms of both surfaces' 20 lowest modes as
+        the map carries them over, is 1 if it keeps the orientation and -1 if it mirrors;
+        ``lengths``: that of the lengths of ways between 60 samples of either side, unless `rough`;
+        ``landmarks``: biharmonic distance between where the map takes the landmarks and where they
+        belong, relative to the root mean square of the source. The candidates of a `match` have an
+        ``alignment`` besides, which a map does not have by itself: how far the source, bent by it
+        in its lowest modes, stays from the target in positions, normals and curvature.
 
     Examples
     --------
@@ -75,12 +75,58 @@ def mismatches(
     >>> import spectra_kit as sk
     >>> animal = sk.geometry.creature(600)
     >>> a = sk.prepare(sk.spectrum(animal, 60), animal)
-    >>> identity = sk.maps.mismatches(a, a, np.eye(60))
-    >>> max(identity.values()) < 1e-9
-    True
+    >>> identity = sk.maps.score_map(a, a, np.eye(60))
+    >>> print(f"{identity.score:.3f}", max(identity.mismatches.values()) < 1e-9)
+    0.001 True
     """
+    C = real_array("functional_map", functional_map)
+    most = min(source.spectrum.k, target.spectrum.k)
+    if C.ndim != 2 or C.shape[0] != C.shape[1] or not 1 <= len(C) <= most:
+        raise InvalidInputError("functional_map", f"have shape (k, k), 1 <= k <= {most}", C.shape)
+    if landmarks is not None:
+        here, there = landmarks
+        landmarks = (
+            check_indices("landmarks", here, source.spectrum.n),
+            check_indices("landmarks", there, target.spectrum.n),
+        )
+    return scored(source, target, C, mirrored=mirrored, landmarks=landmarks, rough=rough)
+
+
+def scored(
+    source: Prepared,
+    target: Prepared,
+    functional_map: Floats,
+    *,
+    mirrored: bool,
+    landmarks: Pairs | None = None,
+    rough: bool = False,
+    alignment: float | None = None,
+) -> Candidate:
+    """Return a map with its mismatches and score; the `alignment` counts where it is known."""
+    values = mismatches(
+        *(source, target, functional_map), mirrored=mirrored, landmarks=landmarks, rough=rough
+    )
+    if alignment is not None:
+        values["alignment"] = alignment
+    return Candidate(
+        functional_map=functional_map,
+        score=score_of(values),
+        mismatches=values,
+        mirrored=mirrored,
+    )
+
+
+def mismatches(
+    source: Prepared,
+    target: Prepared,
+    functional_map: Floats,
+    *,
+    mirrored: bool = False,
+    landmarks: Pairs | None = None,
+    rough: bool = False,
+) -> dict[str, float]:
+    """Return what `score_map` tells of a map."""
     a, b = source.spectrum, target.spectrum
-    functional_map = _square(functional_map, source, target)
     k, few = len(functional_map), _ROUGH_SAMPLES
     every1, every2 = np.arange(a.n), np.arange(b.n)
     pool1, pool2 = (source.samples, target.samples) if rough else (every1, every2)
@@ -96,17 +142,12 @@ def mismatches(
         "wave": waves / 2,
     }
     if landmarks is not None:
-        on_source, on_target = (
-            check_indices("landmarks", points, spectrum.n)
-            for points, spectrum in zip(landmarks, (a, b), strict=True)
-        )
+        on_source, on_target = landmarks
         found = nearest(b.eigenvectors[on_target, :k], rows1)
         values["landmarks"] = _biharmonic(a, pool1[found], on_source)
-    if source.surface is not None and target.surface is not None and not rough:
-        ends1, ends2 = len(source.surface.lengths), len(target.surface.lengths)
-        values["lengths"] = changed(
-            source.surface.lengths, target.surface.lengths, back[:ends2], forth[:ends1]
-        )
+    if source.geometry is not None and target.geometry is not None and not rough:
+        ends1, ends2 = len(source.lengths), len(target.lengths)
+        values["lengths"] = changed(source.lengths, target.lengths, back[:ends2], forth[:ends1])
     curved = curvatures(source, target)
     if curved is not None:
         curved1, curved2 = curved[0][pool1, :_CURVATURES], curved[1][pool2, :_CURVATURES]
@@ -120,156 +161,85 @@ def mismatches(
     return values
 
 
-@checked
-def score_of(values: dict[str, float], *, options: MatchOptions = DEFAULT) -> float:
-    """Return the weighted geometric mean of `mismatches`: the lower, the better.
-
-    Parameters
-    ----------
-    values : dict of str to float
-        Of `mismatches`.
-    options : MatchOptions
-        Whose weights count.
-
-    Returns
-    -------
-    float
-        Dimensionless, at least 0.001: mismatches below that count as equally good.
-
-    Examples
-    --------
-    >>> import spectra_kit as sk
-    >>> print(sk.maps.score_of({"curvature": 0.5, "wave": 0.1}))
-    0.476
-    """
-    weights = asdict(options.weights)
-    if not values or not set(values) <= set(weights):
-        expected = f"hold some of {sorted(weights)}, as `mismatches` returns them"
-        raise InvalidInputError("values", expected, sorted(values))
-    total = sum(weights[name] for name in values)
-    logs = sum(weights[name] * np.log(max(value, 0.0) + _LEAST) for name, value in values.items())
-    return float(np.exp(logs / total))
-
-
-def scored(
-    source: Prepared,
-    target: Prepared,
-    functional_map: Floats,
-    *,
-    mirrored: bool,
-    landmarks: tuple[Ints, Ints] | None = None,
-    rough: bool = False,
-    alignment: float | None = None,
-    options: MatchOptions,
-) -> Candidate:
-    """Return a map with its mismatches and score; the `alignment` counts where it is known."""
-    values = mismatches(
-        *(source, target, functional_map),
-        mirrored=mirrored,
-        landmarks=landmarks,
-        rough=rough,
-    )
-    if alignment is not None:
-        values["alignment"] = alignment
-    score = score_of(values, options=options)
-    return Candidate(
-        functional_map=functional_map, score=score, mismatches=values, mirrored=mirrored
-    )
-
-
-@checked
 def orientation_of(source: Prepared, target: Prepared, functional_map: Floats) -> float | None:
     """Return the orientation of a map: near 1 if it keeps it, near -1 for a mirror image.
 
-    Parameters
-    ----------
-    source, target : Prepared
-        The surfaces.
-    functional_map : ndarray of shape (k, k)
-        Of source to target.
-
-    Returns
-    -------
-    float or None
-        None without both geometries.
-
-    Notes
-    -----
     The correlation of the area forms ``T[a, b, c] = integral of u_a du_b ^ du_c`` of the target's
-    20 lowest modes with those of the source's, carried over by the map.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import spectra_kit as sk
-    >>> from spectra_kit.geometry import creature, mirrored
-    >>> from spectra_kit.maps import orientation_of, prepare
-    >>> animal = sk.geometry.creature(600)
-    >>> spectrum = sk.spectrum(animal, 30)
-    >>> a, b = prepare(spectrum, animal), prepare(spectrum, mirrored(animal))
-    >>> print(orientation_of(a, a, np.eye(30)), orientation_of(a, b, np.eye(30)))
-    1.0 -1.0
+    20 lowest modes with those of the source's, carried over by the map. None without geometries.
     """
-    functional_map = _square(functional_map, source, target)
-    if source.surface is None or target.surface is None:
+    if source.geometry is None or target.geometry is None:
         return None
-    form1, form2 = source.surface.form, target.surface.form
-    m = min(20, len(functional_map), len(form1), len(form2))
+    form1, form2 = source.form, target.form
+    m = min(_ORIENTED, len(functional_map), len(form1), len(form2))
     C = functional_map[:m, :m]
     carried = np.einsum("ia,jb,kc,abc->ijk", C, C, C, form1[:m, :m, :m], optimize=True)
     form = form2[:m, :m, :m]
     return float(np.vdot(carried, form) / (np.linalg.norm(carried) * np.linalg.norm(form)))
 
 
-@checked
 def coverage_over_chance(source: Spectrum, target: Spectrum, point_map: Ints) -> float:
-    """Return the area that a map reaches, over what as many random points would reach.
+    """Return the area that a map reaches, over what as many random points would reach."""
+    return share_over_chance(source.mass / source.area, target.mass / target.area, point_map)
+
+
+def share_over_chance(source: Floats, target: Floats, point_map: Ints) -> float:
+    """Return the same from the shares of the area that points have, (n1,) and (n2,)."""
+    thrown = min(1 / (target @ target), 1 / (source @ source))
+    chance = float(source @ -np.expm1(-thrown * source))
+    return float(source[np.unique(point_map)].sum()) / chance
+
+
+@checked
+def local_confidence(found: Match, source: Prepared, target: Prepared) -> Floats:
+    """Return how likely each target point is mapped to the right place.
 
     Parameters
     ----------
-    source, target : Spectrum
-        Of the surfaces, in any units.
-    point_map : ndarray of shape (n2,)
-        Source point of each target point.
+    found : Match
+        From `match` of these two; of a part no confidence is known.
+    source, target : Prepared
+        With their geometries.
 
     Returns
     -------
-    float
-        Above 1 for maps that spread the target over the source.
-
-    Notes
-    -----
-    Of N points thrown at an area of 1, a share ``1 - exp(-N m)`` of the vertices with area m is
-    hit. Target points that crowd in one place count as the ``1 / sum(m^2)`` that they amount to,
-    and as no more than the source's, all of which many more would hit.
+    ndarray of shape (n2,)
+        In [0, 1]: how likely the image is within 8 hundredths of the root of the source's area.
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from spectra_kit import eigensolve, robust_laplacian
-    >>> from spectra_kit.geometry import sphere
-    >>> from spectra_kit.maps import coverage_over_chance
-    >>> ball = eigensolve(robust_laplacian(sphere(subdivisions=3).geometry), 4)
-    >>> every, one = np.arange(ball.n), np.zeros(ball.n, dtype=int)
-    >>> print(coverage_over_chance(ball, ball, every), coverage_over_chance(ball, ball, one))
-    1.58 0.00
+    >>> import spectra_kit as sk
+    >>> source, target, _ = sk.geometry.creature_pair(1000, 900, seed=1)
+    >>> a, b = (sk.prepare(sk.spectrum(mesh, 80), mesh) for mesh in (source, target))
+    >>> sure = sk.maps.local_confidence(sk.match(a, b), a, b)
+    >>> sure.shape, bool(sure.mean() > 0.8)
+    ((900,), True)
     """
-    point_map = check_point_map("point_map", point_map, source.n, target.n)
-    share1, share2 = source.mass / source.area, target.mass / target.area
-    thrown = min(1 / (share2 @ share2), 1 / (share1 @ share1))
-    chance = float(share1 @ -np.expm1(-thrown * share1))
-    return float(share1[np.unique(point_map)].sum()) / chance
-
-
-def _square(functional_map: Floats, source: Prepared, target: Prepared) -> Floats:
-    """Return the map as a finite array of shape (k, k), k within the modes of both."""
-    array = real_array("functional_map", functional_map)
-    most = min(source.spectrum.k, target.spectrum.k)
-    if array.ndim != 2 or array.shape[0] != array.shape[1] or not 1 <= len(array) <= most:
+    for name, side in (("source", source), ("target", target)):
+        if side.geometry is None:
+            raise InvalidInputError(name, "come with its geometry", repr(side))
+    if found.covered is not None:
         raise InvalidInputError(
-            "functional_map", f"have shape (k, k), 1 <= k <= {most}", array.shape
+            "found", "map wholes", "a part", advice="`covered` is all that is known of its points"
         )
-    return array
+    p = check_point_map("found", found.point_map, source.whole.n, target.whole.n)
+    p = on_matched(source, target, p)
+    k = min(source.spectrum.k, target.spectrum.k)
+    here, there = truncated(source, k), truncated(target, k)
+    points, n, edges = there.surface.points, there.spectrum.n, there.surface.edges
+    long = lengths_of(points, edges)
+    image = lengths_of(here.surface.points, p[edges])
+    bent = np.abs(np.log((image + _SHORT * long) / ((1 + _SHORT) * long)))
+    ends = np.bincount(edges.ravel(), minlength=n)
+    stretch = np.bincount(edges.ravel(), np.repeat(bent, 2), n) / np.maximum(ends, 1)
+    wave1, wave2 = here.wave[p], there.wave
+    wave = (np.abs(wave1 - wave2) / (wave1 + wave2 + 1e-300)).mean(axis=1)
+    curvature = np.abs(here.curvature[p] - there.curvature).mean(axis=1)
+    around = sparse.csr_array(neighbours(there.surface.oriented.faces, n) + sparse.eye_array(n))
+    mean = sparse.diags_array(1 / np.asarray(around.sum(axis=1)).ravel()) @ around
+    seen = np.column_stack([wave, curvature, stretch])
+    for _ in range(_ROUNDS):
+        seen = mean @ seen
+    return confidence_at(found.confidence, *seen.T)[target.closest]
 
 
 def _biharmonic(spectrum: Spectrum, found: Ints, wanted: Ints) -> float:

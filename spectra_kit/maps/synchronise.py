@@ -23,14 +23,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.linalg import solve_triangular
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from spectra_kit._core.threads import in_threads
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit.maps.coupled import Sampled, coupled_zoomout
-from spectra_kit.maps.options import MatchOptions
+from spectra_kit.maps.calibration import score_of
+from spectra_kit.maps.nearest import nearest_columns
 from spectra_kit.maps.prepare import REFINED_K, Prepared
-from spectra_kit.maps.score import mismatches, score_of
+from spectra_kit.maps.result import MatchOptions
+from spectra_kit.maps.score import mismatches
+from spectra_kit.maps.zoomout import schedule
 
 Pair = tuple[int, int]
 
@@ -38,6 +41,7 @@ Pair = tuple[int, int]
 #: animals of SMAL, the 36 maps implied had a mean error of 4.7 (hundredths of the root of the area)
 #: when grown anew from 8 modes, and of 5.7 from 12; hippos joined them rightly from 8 modes alone.
 LEAD = 8
+_STEP = 6  # modes at a time, as maps are grown
 _JUDGED = (LEAD, 24)  # the better one counts: the lowest modes of a limb are the same all around it
 _COMPARED = 20  # modes in which maps are compared
 _SAME = 0.1  # squared difference per mode of maps that count as one: wrong ones had 0.14 and more
@@ -48,6 +52,47 @@ _TESTED = 6  # pairs across that decide, besides
 _FINALISTS = 6
 _NEARBY = 4  # surfaces of the same cluster that a frame is fitted to
 _SWEEPS = 2  # of fitting all frames in the end
+
+
+class Sampled(NamedTuple):
+    """The modes of a surface at its samples, and their QR factorisation."""
+
+    rows: Floats  # (s, k)
+    Q: Floats  # (s, k)
+    R: Floats  # (k, k)
+
+    @classmethod
+    def of(cls, shape: Prepared, k: int) -> Sampled:
+        """Return the lowest k modes."""
+        rows = shape.spectrum.eigenvectors[shape.samples, :k]
+        return cls(rows, *np.linalg.qr(rows))
+
+    def fit(self, values: Floats, k: int) -> Floats:
+        """Return the coefficients on k modes of functions at the samples, (c, s, d): (c, k, d)."""
+        fitted: Floats = solve_triangular(self.R[:k, :k], self.Q[:, :k].T) @ values
+        return fitted
+
+
+def coupled_zoomout(source: Sampled, target: Sampled, maps: Floats, lead: int) -> Floats:
+    """Return the maps, (c, k, k), grown anew from their `lead` lowest modes to all k.
+
+    Each step is one of `bijective_zoomout`.
+    """
+    k = source.rows.shape[1]
+    C = maps[:, :lead, :lead]
+    for size, _ in schedule((lead, lead), k, _STEP):
+        have = C.shape[1]
+        A, B = source.rows[:, :have], target.rows[:, :have]
+        to_source = nearest_columns(_columns(A @ C.transpose(0, 2, 1)), B)
+        to_target = nearest_columns(_columns(B @ C), A)
+        there = target.fit(source.rows[to_source, :size], size)
+        back = source.fit(target.rows[to_target, :size], size)
+        C = 0.5 * (there + back.transpose(0, 2, 1))
+    return C
+
+
+def _columns(images: Floats) -> NDArray[np.float32]:
+    return images.transpose(0, 2, 1).astype(np.float32)
 
 
 class Found(NamedTuple):
@@ -230,7 +275,7 @@ class _Clusters:
             mirrored=mirrored,
             rough=rough,
         )
-        score = score_of(values, options=self._options)
+        score = score_of(values)
         # A map that was to keep the sides may turn them over as it grows.
         turned = mirrored or values.get("orientation", 0.0) > 0.5
         return float(np.log(score * (self._options.mirrored_by if turned else 1.0)))

@@ -8,7 +8,13 @@
 
 from spectra_kit.neo.backbones import build_network
 from spectra_kit.neo.model import NeoConfig, NeoNetwork
-from spectra_kit.neo.pretrained import WEIGHTS, Pretrained, load_pretrained, save_weights
+from spectra_kit.neo.pretrained import (
+    WEIGHTS,
+    Pretrained,
+    Shipped,
+    load_pretrained,
+    save_weights,
+)
 from spectra_kit.neo.subspace import NeoSubspace
 
 __all__ = [
@@ -17,6 +23,7 @@ __all__ = [
     "NeoNetwork",
     "NeoSubspace",
     "Pretrained",
+    "Shipped",
     "build_network",
     "load_pretrained",
     "save_weights",

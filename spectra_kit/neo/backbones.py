@@ -266,11 +266,6 @@ def build_network(config: NeoConfig) -> NeoNetwork:
     NeoNetwork
         Or a subclass with another backbone under the same heads.
 
-    Raises
-    ------
-    MissingDependencyError
-        If another backbone than ``"neo"`` is asked for and PyTorch Geometric is not installed.
-
     Examples
     --------
     >>> from spectra_kit.neo import NeoConfig, build_network

@@ -59,11 +59,6 @@ class NeoConfig:
         and scaled into [-1, 1]^3. At equal short training (2,000 samples) the span error on
         other clouds was 0.074 with the first and 0.090 with uniform random rotations.
 
-    Raises
-    ------
-    InvalidInputError
-        If a size is not positive, ``m < k``, or the frame is unknown.
-
     Examples
     --------
     >>> from spectra_kit.neo import NeoConfig

@@ -25,13 +25,37 @@ from spectra_kit.neo.model import NeoConfig, NeoNetwork
 
 _KEY = "spectra_kit.neo"  # the only one of the metadata: a file with two would differ every time
 
-#: Shipped weights: name -> (file in neo/weights, sha256 of the file).
-WEIGHTS: dict[str, tuple[str, str]] = {
-    "small": (
-        "neo-small.safetensors",
-        "1e0567cfbb49601e7c8debf4bdddfd87eff8dbba23c43825563dd9c738e5ae6c",
-    ),
-}
+INDEX = "index.json"  # in neo/weights, which apps/ship_weights.py writes
+
+
+class Shipped(NamedTuple):
+    """Weights in the package, as ``neo/weights/index.json`` tells of them.
+
+    Attributes
+    ----------
+    file : str
+        In ``neo/weights``.
+    sha256 : str
+        Of the file.
+    record : dict
+        How they were trained, in short; `load_pretrained` returns all of it.
+    """
+
+    file: str
+    sha256: str
+    record: dict[str, Any]
+
+
+def read_index(folder: Path) -> dict[str, Shipped]:
+    """Return the weights that a folder holds, by name."""
+    return {
+        name: Shipped(**entry) for name, entry in json.loads((folder / INDEX).read_text()).items()
+    }
+
+
+_FOLDER = Path(str(resources.files("spectra_kit.neo") / "weights"))
+#: Shipped weights by name.
+WEIGHTS: dict[str, Shipped] = read_index(_FOLDER)
 
 
 class Pretrained(NamedTuple):
@@ -157,11 +181,6 @@ def save_weights(
     -------
     str
         The sha256 of the file.
-
-    Raises
-    ------
-    InvalidInputError
-        If the record is no JSON, or the folder does not exist.
     """
     check_float_dtype(dtype)
     try:
@@ -186,21 +205,15 @@ class WeightsFile(NamedTuple):
 
 
 def find_weights(name_or_path: str | os.PathLike[str]) -> WeightsFile:
-    """Return the file of a shipped name or of a path, without reading the weights.
-
-    Raises
-    ------
-    WeightsError
-        If the name is unknown or the file is missing.
-    """
+    """Return the file of a shipped name or of a path, without reading the weights."""
     if isinstance(name_or_path, str) and name_or_path in WEIGHTS:
-        file, digest = WEIGHTS[name_or_path]
-        path = Path(str(resources.files("spectra_kit.neo") / "weights" / file))
+        shipped = WEIGHTS[name_or_path]
+        path = _FOLDER / shipped.file
         if not path.is_file():
             raise WeightsError(
                 f"the shipped file {path} is missing", advice="reinstall spectra_kit"
             )
-        return WeightsFile(path, digest)
+        return WeightsFile(path, shipped.sha256)
     path = Path(name_or_path)
     if path.suffix != ".safetensors":
         raise WeightsError(

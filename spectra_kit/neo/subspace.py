@@ -48,13 +48,6 @@ class NeoSubspace(Rebuilt):
     chunk : int, default 65536
         Points whose temporaries are held at a time. Smaller clouds go through in one piece.
 
-    Raises
-    ------
-    InvalidInputError
-        If an option has another value than those above.
-    WeightsError
-        If there are no such weights.
-
     Examples
     --------
     >>> import numpy as np
@@ -156,21 +149,6 @@ class NeoSubspace(Rebuilt):
         -------
         list of Tensor of shape (n_i, 1 + poses * m), float32
             On `device`.
-
-        Raises
-        ------
-        InvalidInputError
-            If there are not as many clouds as masses, or one is malformed.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from spectra_kit.neo import NeoConfig, NeoNetwork, NeoSubspace
-        >>> subspace = NeoSubspace(NeoNetwork(NeoConfig.named("small")))
-        >>> clouds = [np.random.default_rng(0).normal(size=(n, 3)) for n in (300, 200)]
-        >>> bases = subspace.predict_many(clouds, [np.ones(300), np.ones(200)])
-        >>> [tuple(basis.shape) for basis in bases]
-        [(300, 257), (200, 257)]
         """
         if len(points) != len(mass):
             raise InvalidInputError("points", f"be as many as `mass`, {len(mass)}", len(points))

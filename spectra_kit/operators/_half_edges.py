@@ -12,13 +12,10 @@ import math
 
 import numpy as np
 from numba.extending import register_jitable
-from numpy.typing import NDArray
 from scipy import sparse
 
 from spectra_kit._core.compiled import compiled
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
+from spectra_kit._core.types import Floats, Ints32
 
 _COINCIDENT = 1e-12  # triangles smaller than this, in a geometry of size 1, are mollified to it
 _TIE = 1e-12  # cosines that differ by less are equal, but for rounding
@@ -28,7 +25,7 @@ _NONE, _PAIRED = -1, -2
 _BEFORE = (2, 0, 1)  # corners of a triangle
 
 
-def side_lengths(points: Floats, triangles: Ints, mollify: float) -> Floats:
+def side_lengths(points: Floats, triangles: Ints32, mollify: float) -> Floats:
     """Return the length of each side ``c`` to ``c + 1`` of each triangle, shape (t, 3).
 
     A side ij is longer than in space by ``offset[i] + offset[j]``, so that in each triangle the
@@ -46,7 +43,7 @@ def side_lengths(points: Floats, triangles: Ints, mollify: float) -> Floats:
 
 @compiled()
 def _measure_sides(
-    points: Floats, triangles: Ints, mollify: float, sides: Floats, offsets: Floats
+    points: Floats, triangles: Ints32, mollify: float, sides: Floats, offsets: Floats
 ) -> bool:
     """Write sides in space and the offsets of their ends; return whether there are any."""
     any_thin = False
@@ -65,7 +62,7 @@ def _measure_sides(
     return any_thin
 
 
-def sides_by_corner(triangles: Ints, n: int) -> tuple[Ints, Ints, Ints]:
+def sides_by_corner(triangles: Ints32, n: int) -> tuple[Ints32, Ints32, Ints32]:
     """Sort the sides ``3 t + c`` by their lower corner; return their upper ones beside them.
 
     Those of point i are at ``starts[i]`` to ``starts[i + 1]``.
@@ -77,7 +74,9 @@ def sides_by_corner(triangles: Ints, n: int) -> tuple[Ints, Ints, Ints]:
 
 
 @compiled()
-def pair_sides(triangles: Ints, starts: Ints, sides: Ints, uppers: Ints, twins: Ints) -> bool:
+def pair_sides(
+    triangles: Ints32, starts: Ints32, sides: Ints32, uppers: Ints32, twins: Ints32
+) -> bool:
     """Glue the two triangles at each edge; return whether there are two that may be, at all.
 
     They must run along it in opposite directions, and be no copies of each other (see `glue`).
@@ -109,12 +108,12 @@ def pair_sides(triangles: Ints, starts: Ints, sides: Ints, uppers: Ints, twins: 
 @compiled()
 def glue(
     points: Floats,
-    triangles: Ints,
-    starts: Ints,
-    sides: Ints,
-    uppers: Ints,
+    triangles: Ints32,
+    starts: Ints32,
+    sides: Ints32,
+    uppers: Ints32,
     sharpest: float,
-    twins: Ints,
+    twins: Ints32,
     first: int,
     last: int,
 ) -> None:
@@ -145,14 +144,14 @@ def glue(
 @register_jitable
 def _glue_edge(
     points: Floats,
-    triangles: Ints,
-    sides: Ints,
+    triangles: Ints32,
+    sides: Ints32,
     low: int,
     high: int,
     sharpest: float,
-    halves: Ints,
+    halves: Ints32,
     out: Floats,
-    twins: Ints,
+    twins: Ints32,
 ) -> None:
     """Pair the triangles of one edge that continue each other best, and glue their faces.
 
@@ -206,13 +205,13 @@ def _direction(points: Floats, low: int, high: int, apex: int, out: Floats) -> N
 
 @compiled(error_model="numpy")
 def flip_to_delaunay(
-    tails: Ints,
+    tails: Ints32,
     lengths: Floats,
-    twins: Ints,
+    twins: Ints32,
     most: int,
     slack: tuple[float, float],
     recorded: bool,
-) -> tuple[bool, Ints, Floats]:
+) -> tuple[bool, Ints32, Floats]:
     """Flip edges until the two angles opposite each sum to at most pi; return if all do.
 
     Flipping lowers the Dirichlet energy (Rippa 1990), so it comes to an end but for rounding;
@@ -259,8 +258,8 @@ def flip_to_delaunay(
 
 @compiled(error_model="numpy")
 def flip_in_order(
-    tails: Ints, lengths: Floats, twins: Ints, leads: Ints, most: int, least: float
-) -> tuple[bool, Ints, Floats]:
+    tails: Ints32, lengths: Floats, twins: Ints32, leads: Ints32, most: int, least: float
+) -> tuple[bool, Ints32, Floats]:
     """Flip as `flip_to_delaunay` does, in the order of the library robust_laplacian, recorded.
 
     It visits all edges, and again those beside one that it has flipped, after all that wait.
@@ -312,7 +311,7 @@ def flip_in_order(
 
 
 @compiled(error_model="numpy")
-def undo_flips(lengths: Floats, slopes: Floats, flipped: Ints, before: Floats) -> None:
+def undo_flips(lengths: Floats, slopes: Floats, flipped: Ints32, before: Floats) -> None:
     """Take flips back, and the derivatives by the lengths of all half-edges with them.
 
     `lengths` and `slopes` are those after the flips, and become those before them. Both halves of
@@ -343,7 +342,7 @@ def undo_flips(lengths: Floats, slopes: Floats, flipped: Ints, before: Floats) -
 
 
 @register_jitable
-def _flip(tails: Ints, lengths: Floats, twins: Ints, h: int, g: int) -> None:
+def _flip(tails: Ints32, lengths: Floats, twins: Ints32, h: int, g: int) -> None:
     """Replace the edge ab of the faces abc (h: a to b) and bad (g) by cd.
 
     The faces become cdb (h: c to d) and dca; each outer half-edge moves by one place.
@@ -403,8 +402,8 @@ def _previous(h: int) -> int:
 
 @compiled(error_model="numpy")
 def cotangent_laplacian(
-    tails: Ints, lengths: Floats, twins: Ints, n: int
-) -> tuple[Ints, Ints, Floats, Floats]:
+    tails: Ints32, lengths: Floats, twins: Ints32, n: int
+) -> tuple[Ints32, Ints32, Floats, Floats]:
     """Return the stiffness, by rows with ascending columns, and the lumped mass.
 
     Sorted by columns first, then by rows: each pass keeps the order of the one before, so entries

@@ -9,17 +9,14 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from spectra_kit._core.compiled import compiled
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Bools = NDArray[np.bool_]
+from spectra_kit._core.types import Bools, Floats, Ints32
 
 _STRAIGHT = 1e-5  # radians: a gap that close to pi is a boundary, as in robust_laplacian
 _PARALLEL = 1e-12  # radians: directions that differ by less are the same, but for rounding
 
 
 @compiled()
-def hulls(x: Floats, y: Floats, names: Ints, links: Ints, sizes: Ints, closed: Bools) -> None:
+def hulls(x: Floats, y: Floats, names: Ints32, links: Ints32, sizes: Ints32, closed: Bools) -> None:
     """Write the names (p, k) of the corners of each hull of k points, counter-clockwise.
 
     To `links` (p, k), their number to `sizes` (p,), 0 where it is below two, and to `closed` (p,)

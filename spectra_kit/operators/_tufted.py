@@ -11,18 +11,14 @@ import math
 
 import numpy as np
 from numba.extending import register_jitable
-from numpy.typing import NDArray
 
 from spectra_kit._core.compiled import compiled
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Longs = NDArray[np.int64]
+from spectra_kit._core.types import Floats, Ints, Ints32
 
 
 @compiled()
 def tufted_cover(
-    points: Floats, faces: Ints, starts: Longs, sides: Longs, twins: Ints, leads: Ints
+    points: Floats, faces: Ints32, starts: Ints, sides: Ints, twins: Ints32, leads: Ints32
 ) -> None:
     """Glue front and back of each face to the faces next to it around each edge.
 
@@ -55,7 +51,7 @@ def tufted_cover(
 
 
 @register_jitable
-def _angles(points: Floats, faces: Ints, sides: Longs) -> Floats:
+def _angles(points: Floats, faces: Ints32, sides: Ints) -> Floats:
     """Angles of the faces around an edge, measured as the library does.
 
     In the same operations: on flat parts, rounding tells pi from -pi.
@@ -84,7 +80,7 @@ def _unit(u: Floats) -> Floats:
 
 
 @register_jitable
-def _runs_from(faces: Ints, low: int, side: int) -> bool:
+def _runs_from(faces: Ints32, low: int, side: int) -> bool:
     return bool(faces[side // 3, side % 3] == low)
 
 

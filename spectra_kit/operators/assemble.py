@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Callable
+from typing import Any, Literal
 
 import igl
 import numpy as np
@@ -13,11 +14,9 @@ from scipy.spatial import cKDTree
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
 from spectra_kit._core.validate import check_count, quantity
-from spectra_kit.catalogue import OPERATORS
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry.seams import warn_of_seams
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.operators._parts import warn_of_near_parts
 from spectra_kit.operators.checks import (
     check_distinct,
     check_faces_usable,
@@ -25,6 +24,7 @@ from spectra_kit.operators.checks import (
     mean_edges,
     unit_of,
     units_of,
+    warn_of_near_parts,
 )
 from spectra_kit.operators.intrinsic import intrinsic_delaunay
 from spectra_kit.operators.laplacian import Laplacian, with_zero_sums
@@ -57,11 +57,6 @@ def laplacian(
     Laplacian
         With mass in the squared length unit of `geometry`.
 
-    Raises
-    ------
-    InvalidInputError
-        As of the operators; if there is no boundary to hold, or no mesh for cotangents.
-
     Examples
     --------
     >>> import spectra_kit as sk
@@ -70,7 +65,7 @@ def laplacian(
     """
     if operator == "cotan" and not isinstance(geometry, TriangleMesh):
         raise InvalidInputError("operator", "be one for points", "cotan, which needs a mesh")
-    built: Laplacian = OPERATORS[operator or "robust"](geometry)
+    built = _BY_NAME[operator or "robust"](geometry)
     if boundary == "neumann":
         return built
     if not isinstance(geometry, TriangleMesh) or not len(geometry.boundary_vertices):
@@ -106,10 +101,6 @@ def robust_laplacian(
 
     Raises
     ------
-    InvalidInputError
-        If a vertex belongs to no face, a face repeats a vertex, or the extent of `geometry` or of
-        a component is so large or small that areas are no numbers; and for clouds as
-        `delaunay_laplacian`.
     OutOfMemoryError
         If there is no room for what the library takes, 3 kB for each face of a mesh.
         `delaunay_laplacian` takes a seventh.
@@ -186,11 +177,6 @@ def delaunay_laplacian(
         Neumann; edge weights are not negative beyond rounding; mass in the squared length unit
         of `geometry`. The same bits whatever the number of threads.
 
-    Raises
-    ------
-    InvalidInputError, ConvergenceError
-        As `intrinsic_delaunay`, whose Laplacian this is.
-
     Examples
     --------
     >>> from spectra_kit import delaunay_laplacian
@@ -220,11 +206,6 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
     -------
     Laplacian
         Neumann, positive semi-definite (libigl's matrix with its sign turned).
-
-    Raises
-    ------
-    InvalidInputError
-        If `mesh` is a cloud, a vertex belongs to no face, or a face is degenerate or duplicated.
 
     References
     ----------
@@ -287,11 +268,6 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
         ``L = D - K`` with mass ``D`` (row sums of K): **dimensionless**, its eigenvalues are in
         [0, 2] whatever the unit of length.
 
-    Raises
-    ------
-    InvalidInputError
-        If there are not more points than `n_neighbors`, or points coincide.
-
     Warns
     -----
     SplitSurfaceWarning
@@ -350,3 +326,11 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     )
     warn_of_near_parts(built, n_neighbors)
     return built
+
+
+_BY_NAME: dict[str, Callable[[Any], Laplacian]] = {
+    "robust": robust_laplacian,
+    "cotan": cotan_laplacian,
+    "knn": knn_laplacian,
+    "delaunay": delaunay_laplacian,
+}

@@ -6,32 +6,24 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
-from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import (
-    Rebuilt,
-    check_indices,
-    check_positive,
-    frozen,
-    quantity,
-    real_array,
-)
+from spectra_kit._core.records import Rebuilt, frozen
+from spectra_kit._core.types import Floats, Ints, Ints32
+from spectra_kit._core.validate import check_indices, check_positive, quantity, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.seams import warn_of_seams
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.operators._parts import warn_of_near_parts
 from spectra_kit.operators.checks import (
     check_cloud_usable,
     check_faces_usable,
     check_mollify_factor,
+    warn_of_near_parts,
 )
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.operators.triangle_calculus import areas, divergences, gradients
-
-Corners = NDArray[np.int32]
 
 _MOST = 0.9  # share of the edges that longer ones do not outweigh
 
@@ -58,11 +50,6 @@ class IntrinsicTriangulation(Rebuilt):
     laplacian : Laplacian
         Of piecewise linear functions on these triangles, Neumann, on n points.
 
-    Raises
-    ------
-    InvalidInputError
-        If shapes disagree, an index is out of range, or a length is not positive.
-
     Examples
     --------
     >>> from spectra_kit import intrinsic_delaunay
@@ -74,7 +61,7 @@ class IntrinsicTriangulation(Rebuilt):
     8.33 8.33
     """
 
-    corners: Corners
+    corners: Ints32
     lengths: Floats
     share: float
     boundary: Ints
@@ -151,44 +138,19 @@ class IntrinsicTriangulation(Rebuilt):
         return frozen(np.array([min(part.mean(), np.quantile(part, _MOST)) for part in parts]))
 
     def gradient(self, values: ArrayLike) -> Floats:
-        """Return the gradient of a piecewise linear function, constant in each triangle.
+        """Return the gradient (f, 2) of a piecewise linear function (n,), one in each triangle.
 
-        Parameters
-        ----------
-        values : array_like of shape (n,)
-            At the points.
-
-        Returns
-        -------
-        ndarray of shape (f, 2)
-            In the unit of `values` over length, in a frame of each triangle: x runs along side 0,
-            y points to corner 2. Frames of different triangles have nothing to do with each other.
-
-        Raises
-        ------
-        InvalidInputError
-            If `values` has another shape or is not finite.
+        In the unit of `values` over length, in a frame of each triangle: x runs along side 0, y
+        points to corner 2. Frames of different triangles have nothing to do with each other.
         """
         return gradients(self.corners, self.lengths, _of_shape("values", values, (self.n,)))
 
     def divergence(self, vectors: ArrayLike) -> Floats:
-        """Return the integrated divergence, with its sign turned: the adjoint of `gradient`.
+        """Return the integrated divergence (n,), with its sign turned: the adjoint of `gradient`.
 
-        Parameters
-        ----------
-        vectors : array_like of shape (f, 2)
-            One in each triangle, in the frame of `gradient`.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            For any function v, ``v @ divergence(X)`` is the integral of ``<grad v, X>`` over the
-            surface, so ``divergence(gradient(u))`` is ``laplacian.stiffness @ u``.
-
-        Raises
-        ------
-        InvalidInputError
-            If `vectors` has another shape or is not finite.
+        Of vectors (f, 2) in its frames. For any function v, ``v @ divergence(X)`` is the integral
+        of ``<grad v, X>`` over the surface, so ``divergence(gradient(u))`` is ``laplacian.stiffness
+        @ u``.
         """
         field = _of_shape("vectors", vectors, (len(self.corners), 2))
         return np.asarray(self.share * divergences(self.corners, self.lengths, field, self.n))
@@ -255,26 +217,26 @@ def intrinsic_delaunay(
     >>> round(triangulation.area, 3), len(triangulation.boundary)
     (1.618, 36)
     """
-    from spectra_kit.operators._gluing import glued_cloud, glued_mesh  # numba is slow to import
+    from spectra_kit.operators._cover import cloud_cover, mesh_cover  # numba is slow to import
 
     clock = Clock()
     check_mollify_factor(mollify_factor)
     if isinstance(geometry, TriangleMesh):
         check_faces_usable(geometry)
         warn_of_seams(geometry)
-        glued = glued_mesh(geometry, mollify_factor)
+        cover = mesh_cover(geometry, mollify_factor)
         operator = f"delaunay_laplacian(mesh, mollify_factor={mollify_factor:g})"
     else:
         neighbors = check_cloud_usable(geometry, n_neighbors)
-        glued = glued_cloud(geometry, mollify_factor, neighbors)
+        cover = cloud_cover(geometry, mollify_factor, neighbors)
         operator = f"delaunay_laplacian(mollify_factor={mollify_factor:g}, n_neighbors={neighbors})"
     laplacian = Laplacian(
-        glued.stiffness, glued.mass, geometry.points, operator=operator, seconds=clock.total
+        cover.stiffness, cover.mass, geometry.points, operator=operator, seconds=clock.total
     )
     if not isinstance(geometry, TriangleMesh):
         warn_of_near_parts(laplacian, neighbors)
     return IntrinsicTriangulation(
-        glued.corners, glued.lengths, 1 / glued.copies, glued.boundary, laplacian
+        cover.corners, cover.lengths, 1 / cover.copies, cover.boundary, laplacian
     )
 
 

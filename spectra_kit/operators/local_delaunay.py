@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from spectra_kit._core.threads import in_threads, ranges, thread_count
-from spectra_kit._core.types import Bools, Floats
+from spectra_kit._core.types import Bools, Floats, Ints32
 from spectra_kit.errors import InvalidInputError
-
-Ints = NDArray[np.int32]
 
 _BLOCK = 16_384  # points of one task: fixed, so that nothing depends on the number of threads
 _TIE = 1e-7  # weight of a point, of its squared distance to the nearest: decides between diagonals
@@ -27,7 +25,7 @@ _ENTRIES = _BLOCK * 32  # neighbours of points that are held at once
 _SMALLEST = 1e-150  # distance of two points, in the unit of the cloud: its square must be a number
 
 
-def local_triangles(points: Floats, n_neighbors: int) -> tuple[Ints, Bools, Floats]:
+def local_triangles(points: Floats, n_neighbors: int) -> tuple[Ints32, Bools, Floats]:
     """Return the triangles of all stars, which stars are closed, and how far each point looked.
 
     Of shapes (t, 3), (n,) and (n,). The first corner of a triangle is the point whose star it
@@ -74,13 +72,13 @@ class _Stars(NamedTuple):
     """Of the points `rows` (p,): corners (p, k), their number, and whether they go all around."""
 
     rows: NDArray[np.int64]
-    links: Ints
-    sizes: Ints
+    links: Ints32
+    sizes: Ints32
     closed: Bools
     lined: Bools
     """Whether the neighbours lie on a line."""
 
-    def triangles(self, of: Bools) -> Ints:
+    def triangles(self, of: Bools) -> Ints32:
         """Return the triangles of those points."""
         rows, links, sizes, closed, _ = (array[of] for array in self)
         counts = np.where(closed, sizes, np.maximum(sizes - 1, 0))
@@ -91,7 +89,9 @@ class _Stars(NamedTuple):
         return triangles.astype(np.int32)
 
 
-def _nearest(tree: cKDTree, rows: NDArray[np.int64], k: int) -> tuple[Ints, Floats, Floats, Floats]:
+def _nearest(
+    tree: cKDTree, rows: NDArray[np.int64], k: int
+) -> tuple[Ints32, Floats, Floats, Floats]:
     """Return the k neighbours (p, k) of some points; how far first, middle and last are, (p,)."""
     near, distances = np.empty((len(rows), k), dtype=np.int32), np.empty((3, len(rows)))
     for b in (slice(*cut) for cut in ranges(len(rows), _BLOCK)):
@@ -100,7 +100,7 @@ def _nearest(tree: cKDTree, rows: NDArray[np.int64], k: int) -> tuple[Ints, Floa
     return near, *distances
 
 
-def _stars(points: Floats, ties: Floats, rows: NDArray[np.int64], neighbors: Ints) -> _Stars:
+def _stars(points: Floats, ties: Floats, rows: NDArray[np.int64], neighbors: Ints32) -> _Stars:
     from spectra_kit.operators._hulls import hulls
 
     p = len(rows)

@@ -2,6 +2,10 @@
 
 The Laplacian does not know which side of the surface is outside, so its spectrum is that of the
 mirror image, too. The area form ``T[a, b, c] = integral of f_a df_b ^ df_c`` does: it changes sign.
+
+Each point of a cloud triangulates its own neighbourhood, counter-clockwise in a tangent frame of
+either hand. Where two such local triangulations contain the same triangle, its winding in both says
+whether they agree: that needs no normals, and does not mind sharp edges.
 """
 
 from __future__ import annotations
@@ -11,21 +15,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import sparse
+from scipy.spatial import cKDTree
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Rebuilt, frozen
 from spectra_kit._core.types import Bools, Floats, Ints
-from spectra_kit._core.validate import (
-    Rebuilt,
-    check_count,
-    check_faces,
-    check_mass,
-    frozen,
-    quantity,
-    real_array,
-    warn,
-)
+from spectra_kit._core.validate import check_count, check_faces, check_mass, quantity, real_array
+from spectra_kit._core.warn import warn
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
-from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.geometry.normals import agree_on_signs, symmetric_votes, turn_outwards
+from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 from spectra_kit.geometry.winding import (
     FLIP,
     Sides,
@@ -35,13 +35,16 @@ from spectra_kit.geometry.winding import (
     sides_of,
     turn,
 )
-from spectra_kit.operators._fans import oriented_fans
-from spectra_kit.operators.checks import check_faces_usable, units_of
+from spectra_kit.operators.checks import check_cloud_usable, check_faces_usable, unit_of, units_of
+from spectra_kit.operators.local_delaunay import local_triangles
 
 _BLOCK = 1024  # triangles
 # Volume over area^(3/2), 0.094 for a ball and 0.03 for a body; below it there is no inside.
 _FLAT = 1e-9
 _OPEN = 0.005  # the same where there is a boundary, seen from the middle
+
+
+_NORMALS_VOTE = 0.1  # of a shared triangle's vote: it joins those that share none
 
 
 @checked
@@ -63,12 +66,6 @@ class OrientedTriangles(Rebuilt):
         Share of the triangles that agree on the side: of a mesh, with all their neighbours, 1
         unless some cannot be turned so; of a cloud, with the windings that their corners see, a
         sign of how far its orientation can be trusted.
-
-    Raises
-    ------
-    InvalidInputError
-        If shapes disagree, an index is out of range, a weight is not positive or an
-        area is negative.
 
     Examples
     --------
@@ -131,12 +128,6 @@ def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> Oriented
         good one is found by all its three corners. Each component is turned to enclose a positive
         volume, seen from its centroid, which an open sheet that is nearly flat does not decide.
 
-    Raises
-    ------
-    InvalidInputError
-        If a vertex of a mesh has no face or a face names one twice; if a cloud has fewer than four
-        points, duplicates, or lies on a line.
-
     Notes
     -----
     Points of a cloud whose triangulations share triangles vote for one side by the windings of
@@ -159,7 +150,7 @@ def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> Oriented
     4.15
     """
     if not isinstance(geometry, TriangleMesh):
-        faces, areas, consistent = oriented_fans(geometry, n_neighbors)
+        faces, areas, consistent = _oriented_local_triangles(geometry, n_neighbors)
         return OrientedTriangles(faces, np.full(len(faces), 1 / 3), areas, geometry.n, consistent)
     mesh = geometry
     check_faces_usable(mesh)
@@ -227,11 +218,6 @@ def area_form(oriented: OrientedTriangles, functions: ArrayLike) -> Floats:
         the unit of length does not enter. Antisymmetric in b and c; on a closed surface
         changes sign with every swap of two indices.
 
-    Raises
-    ------
-    InvalidInputError
-        If `functions` has another shape or is not finite.
-
     Notes
     -----
     Exact for piecewise linear functions: a triangle (i, j, k) contributes the mean of f_a times
@@ -283,11 +269,6 @@ def orientation_operator(
     ndarray of shape (p, k, k)
         ``O[p, i, j]``, scale-free in the metric; antisymmetric in i and j on a closed surface.
 
-    Raises
-    ------
-    InvalidInputError
-        If an array has another shape or is not finite.
-
     Notes
     -----
     The operator ``g -> n . (grad f x grad g)`` in the basis, which commutes with maps that keep
@@ -333,11 +314,6 @@ def skew(oriented: OrientedTriangles, f: ArrayLike, g: ArrayLike) -> Floats:
     ndarray of shape (n,) or (n, p)
         In the units of f and g over length^2: the integral of ``df ^ dg`` over the triangles around
         a point, divided by their area; 0 where that is 0.
-
-    Raises
-    ------
-    InvalidInputError
-        If an array has another shape or is not finite.
 
     Examples
     --------
@@ -385,3 +361,48 @@ def _along_sides(f: Floats, faces: Ints) -> tuple[Floats, Floats, Floats]:
     """Return (k, faces): the sum over the corners, the rises along the first and the last side."""
     a, b, c = (f[corner].T for corner in faces.T)
     return np.add(a + b, c, order="C"), np.subtract(b, a, order="C"), np.subtract(c, a, order="C")
+
+
+def _oriented_local_triangles(cloud: PointCloud, n_neighbors: int) -> tuple[Ints, Floats, float]:
+    """Return triangles of shape (f, 3), their areas, and the share whose corners agree."""
+    n_neighbors = check_cloud_usable(cloud, n_neighbors)
+    # Neighbours in space become neighbours in memory; any unit of length becomes about 1.
+    order = cKDTree(cloud.points).indices
+    unit = unit_of(cloud)
+    points = cloud.points[order] / unit
+    faces = local_triangles(points, n_neighbors)[0].astype(np.int64)
+    owners = faces[:, 0]
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    doubled: Floats = np.cross(b - a, c - a)
+    vectors: Floats = np.zeros((cloud.n, 3))
+    np.add.at(vectors, owners, doubled / 6)  # a third of the area of each triangle
+    votes = _votes(faces, vectors, cloud.n)
+    signs, labels = agree_on_signs(votes)
+    signs = turn_outwards(points, vectors, signs, labels, votes)
+    turned = signs[owners] < 0
+    faces[turned] = faces[turned][:, [0, 2, 1]]
+    sides = np.einsum("fr,fcr->fc", doubled, vectors[faces] * signs[faces][:, :, None])
+    sides *= signs[owners][:, None]
+    agree = float((sides > 0).all(axis=1).mean()) if len(faces) else 0.0
+    return order[faces], 0.5 * unit**2 * np.linalg.norm(doubled, axis=1), agree
+
+
+def _votes(faces: Ints, vectors: Floats, n: int) -> sparse.csr_array:
+    """Count for each pair of points how often both wind a triangle alike, less how often unlike."""
+    a, b, c = faces.T
+    even = ((a < b) & (b < c)) | ((b < c) & (c < a)) | ((c < a) & (a < b))
+    winding = np.where(even, 1.0, -1.0)
+    corners = np.sort(faces, axis=1)
+    order = np.lexsort(corners.T)
+    corners, owners, winding = corners[order], a[order], winding[order]
+    pairs, values = [], []
+    for step in (1, 2):  # a triangle is in those of three points at most
+        same = np.flatnonzero((corners[step:] == corners[:-step]).all(axis=1))
+        pairs.append(np.column_stack([owners[same], owners[same + step]]))
+        values.append(winding[same] * winding[same + step])
+    sides = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    unit = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
+    pairs.append(sides)
+    values.append(_NORMALS_VOTE * np.einsum("er,er->e", unit[sides[:, 0]], unit[sides[:, 1]]))
+    i, j = np.concatenate(pairs).T
+    return symmetric_votes(n, i, j, np.concatenate(values))

@@ -56,13 +56,6 @@ def tangent_gradient(
     TangentGradient
         Frames (n, 3, 3), and a matrix for each of the two slopes.
 
-    Raises
-    ------
-    InvalidInputError
-        If a vertex has no face or a face names one twice; if a cloud has fewer than four points or
-        duplicates; or where all triangles of a point are degenerate. With `oriented`, as of
-        `oriented_triangles`, too.
-
     Notes
     -----
     The gradient at a point is the mean of those of the linear functions on its triangles, by their

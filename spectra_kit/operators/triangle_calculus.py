@@ -9,11 +9,8 @@ The frame of a triangle has its origin at corner 0 and side 0 along x; corner 2 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from spectra_kit._core.types import Floats
-
-Ints = NDArray[np.int32]
+from spectra_kit._core.types import Floats, Ints32
 
 
 def areas(lengths: Floats) -> Floats:
@@ -29,7 +26,7 @@ def apexes(lengths: Floats) -> Floats:
     return np.stack([a * (1 + c * c - b * b) / 2, a * np.sqrt(np.maximum(square, 0)) / 2], axis=1)
 
 
-def gradients(corners: Ints, lengths: Floats, values: Floats) -> Floats:
+def gradients(corners: Ints32, lengths: Floats, values: Floats) -> Floats:
     """Gradient of the function with `values` at the points, in each triangle's frame."""
     x, y = apexes(lengths).T
     origin, one, two = values[corners].T
@@ -37,7 +34,7 @@ def gradients(corners: Ints, lengths: Floats, values: Floats) -> Floats:
     return np.stack([along, (two - origin - x * along) / y], axis=1)
 
 
-def divergences(corners: Ints, lengths: Floats, vectors: Floats, n: int) -> Floats:
+def divergences(corners: Ints32, lengths: Floats, vectors: Floats, n: int) -> Floats:
     """Adjoint of `gradients` for the areas: ``sum_t area <grad hat_i, vector>`` at each point i.
 
     The gradient of the hat function of a corner times the area is half the opposite side, turned.

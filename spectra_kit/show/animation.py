@@ -16,7 +16,7 @@ from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import estimate_normals, orient_normals
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.maps.curvature import outward_normals
+from spectra_kit.maps.surface import outward_normals
 from spectra_kit.operators.oriented import oriented_triangles
 from spectra_kit.show.camera import View
 from spectra_kit.show.colours import diverging_colours

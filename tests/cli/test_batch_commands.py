@@ -75,7 +75,7 @@ def test_seams_are_told_and_repaired_and_specks_left_out(scans, capsys):
     run = ("batch", "scans/flat.ply", "-o", "store", *HERE)
     for _ in range(2):  # what is known already is told again
         _, err = printed(capsys, *run)
-        assert "1 shape of 1, such as 'scans/flat.ply': boundary edges lie on others" in err
+        assert "1 shape of 1, such as 'scans/flat.ply': boundary edges lie along others" in err
         assert "join them with --repair" in err
     _, err = printed(capsys, *run, "--repair", "--largest", "--json")
     assert err == ""

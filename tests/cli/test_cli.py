@@ -97,8 +97,8 @@ def test_a_span_is_that_of_functions_that_were_used():
     """Smoothed modes are in no span but their own."""
     waves = AmbientFourier(m=64)
     assert ritz_subspace(RayleighRitz(subspace=waves)) is waves
-    assert ritz_subspace(Neo(smoothing=0)) == Neo().subspace
-    for solver in (Cascade(subspace=waves), Neo(), Neo(smoothing=0, cap=2000)):
+    assert ritz_subspace(Neo(max_steps=0)) == Neo().subspace
+    for solver in (Cascade(subspace=waves), Neo(), Neo(max_steps=0, coarsest=2000)):
         assert ritz_subspace(solver) is None
 
 

@@ -130,14 +130,3 @@ def test_stores_and_options_that_are_wrong(animals, capsys, tmp_path, monkeypatc
     assert line.endswith("; name it by -k\n")
     line = refusal(capsys, "match-all", "store", "--pairs", "all", "-k", 40, *HERE)
     assert "`store` must hold two shapes to match, got 1" in line
-
-
-@pytest.mark.slow
-def test_workers_do_the_same(animals, capsys, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    for seed in range(2):
-        write(creature(520, seed=seed), f"{seed}.off")
-    printed(capsys, "batch", "0.off", "1.off", "-o", "store", "-k", 40, *HERE)
-    run = ("match-all", "store", "--pairs", "all")
-    assert record(capsys, *run, "--nworkers", 1)["computed"] == 1
-    assert record(capsys, *run, *HERE)["computed"] == 0

@@ -66,7 +66,7 @@ def test_a_copy_gives_the_permutation(files, tmp_path, capsys, copy):
     )
     assert set(os.listdir(tmp_path / "out")) == FILES
     assert np.load(tmp_path / "out" / "functional_map.npy").shape == (100, 100)
-    assert found["mean_error"] == found["median_error"] == found["way_back_error"] == 0
+    assert found["mean_error"] == found["median_error"] == found["inverse_error"] == 0
     assert found["coverage"] == found["auc_to_10"] == found["share_of_errors_below_5"] == 1
     assert found["point_map_orientation"] == pytest.approx(sign, rel=1e-3)
     assert sign * found["orientation"] > 0.99
@@ -140,7 +140,7 @@ def test_clouds_are_matched_and_judged_as_far_as_they_can_be(files, tmp_path, ca
     result = report(capsys, *pair, "-k", 40, "-o", tmp_path / "out")
     assert result["source"]["kind"] == "cloud"
     assert result["match"]["coverage"] == 1
-    assert result["match"]["way_back_error"] is None
+    assert result["match"]["inverse_error"] is None
 
 
 def test_points_inside_triangles_are_written_as_a_sparse_matrix(files, tmp_path, capsys):
@@ -162,7 +162,7 @@ def test_a_part_that_lacks_nothing_covers_all(files, tmp_path, capsys):
     assert np.load(out / "covered.npy").all()
     np.testing.assert_array_equal(np.load(out / "point_map.npy"), np.load(files / "order.npy"))
     assert (found["covered_points"], found["covered_area"]) == (600, 1)
-    assert found["confidence"] is found["dirichlet_energy"] is found["way_back_error"] is None
+    assert found["confidence"] is found["dirichlet_energy"] is found["inverse_error"] is None
 
 
 @pytest.mark.slow

@@ -2,18 +2,15 @@
 
 import json
 import os
+import shutil
 import stat
 import subprocess
 import sys
 import tempfile
 import time
-import warnings
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -22,23 +19,16 @@ from conftest import bumpy, creature, refused
 
 import spectra_kit as sk
 from spectra_kit._core.fingerprint import facts_digest
-from spectra_kit._core.threads import single_threaded
-from spectra_kit._sparse.memory import memory_of
 from spectra_kit.catalogue import DESCRIPTORS
 from spectra_kit.datasets import Plan, SpectrumStore, complete
 from spectra_kit.datasets import files as store_files
-from spectra_kit.datasets.completion import known
 from spectra_kit.datasets.plan import NAMES
-from spectra_kit.datasets.together import begin
-from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import (
     DamagedEntryWarning,
     InvalidFileError,
-    OutOfMemoryError,
-    SpectraKitError,
     StoreError,
 )
-from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, write
+from spectra_kit.geometry import PointCloud, TriangleMesh, write
 from spectra_kit.neo import NeoConfig, NeoNetwork, save_weights
 from spectra_kit.operators import tangent_gradient
 
@@ -221,13 +211,24 @@ def emptied(_):
     return b""
 
 
+FULL = Plan(k=12, descriptors=("hks", "dna"), operators=("stiffness", "gradient"))
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory):
+    """A folder with a file, and a store with its shape, two descriptors and a record."""
+    folder = tmp_path_factory.mktemp("original")
+    write(bumpy(), folder / "bumpy.off")
+    complete(SpectrumStore(folder / "store"), "bumpy", folder / "bumpy.off", FULL)
+    return folder
+
+
 @pytest.fixture
-def filled(store, tmp_path):
-    """A store with one shape, two descriptors and a record."""
-    write(bumpy(), tmp_path / "bumpy.off")
-    plan = Plan(k=12, descriptors=("hks", "dna"), operators=("stiffness", "gradient"))
-    complete(store, "bumpy", tmp_path / "bumpy.off", plan)
-    return store, lambda: complete(store, "bumpy", tmp_path / "bumpy.off", plan)
+def filled(tmp_path, original):
+    """A copy of that store, the test's own, and what completes it again."""
+    shutil.copytree(original, tmp_path, dirs_exist_ok=True)
+    store = SpectrumStore(tmp_path / "store")
+    return store, lambda: complete(store, "bumpy", tmp_path / "bumpy.off", FULL)
 
 
 @pytest.mark.parametrize("damage", [cut, flip, emptied])
@@ -502,19 +503,17 @@ WRITER = """
 import sys
 import spectra_kit as sk
 store = sk.datasets.SpectrumStore(sys.argv[1])
-for seed in range(4):
+for seed in range(3):
     store.descriptor(sk.geometry.creature(520, seed=seed), sk.datasets.Plan(k=6), "hks")
 """
 
 
 @pytest.mark.slow
 def test_two_writers_end_with_the_bytes_of_one(tmp_path):
-    def start(name):
-        return subprocess.Popen([sys.executable, "-c", WRITER, str(tmp_path / name)])
-
-    alone = [start("one")]
-    assert [process.wait(timeout=120) for process in alone] == [0]
-    both = [start("two") for _ in range(2)]
+    both = [subprocess.Popen([sys.executable, "-c", WRITER, str(tmp_path / "two")]) for _ in "ab"]
+    alone = SpectrumStore(tmp_path / "one")
+    for seed in range(3):
+        alone.descriptor(creature(520, seed=seed), Plan(k=6), "hks")
     assert [process.wait(timeout=120) for process in both] == [0, 0]
     assert content(tmp_path / "one") == content(tmp_path / "two")
 
@@ -592,259 +591,3 @@ def test_a_store_that_may_only_be_read():
         assert content(store.path) == before
         for place in places:
             place.chmod(0o755)
-
-
-# --- plans and files ---
-
-
-@pytest.mark.parametrize(
-    ("argument", "expected", "options"),
-    [
-        ("k", "be at least 1", {"k": 0}),
-        ("cloud", "be at least 4", {"cloud": 3}),
-        ("seed", "be at least 0", {"seed": -1}),
-        ("descriptors", "be named once each", {"descriptors": ("hks", "dna", "hks")}),
-        ("operators", "be named once each", {"operators": ("gradient", "gradient")}),
-    ],
-)
-def test_plans_that_cannot_be(argument, expected, options):
-    refused(argument, expected, Plan, **options)
-
-
-def test_a_solver_that_does_not_tell_what_it_is():
-    for solver in (sk.RayleighRitz(subspace=lambda points, mass: points), Silent()):
-        refused("solver", "tell all that decides its results", Plan, solver=solver)
-
-
-class Silent:
-    """A solver without a repr."""
-
-    promise = "exact"
-
-    def eigenpairs(self, laplacian, k):
-        return sk.Arpack().eigenpairs(laplacian, k)
-
-
-def test_seeds_of_nothing_make_no_other_plan():
-    assert Plan(seed=1).facts == Plan().facts
-    assert Plan(seed=1, cloud=50).facts != Plan(cloud=50).facts
-
-
-def test_a_file_whose_arrays_lie_beside_it_is_read_again_if_these_change(store, tmp_path):
-    mesh = creature(520)
-    arrays = mesh.points.astype("<f4").tobytes() + mesh.faces.astype("<u4").tobytes()
-    (tmp_path / "a.bin").write_bytes(arrays)
-    size = 12 * mesh.n
-    views = [{"buffer": 0, "byteLength": size},
-             {"buffer": 0, "byteOffset": size, "byteLength": len(arrays) - size}]  # fmt: skip
-    accessors = [{"bufferView": 0, "componentType": 5126, "count": mesh.n, "type": "VEC3"},
-                 {"bufferView": 1, "componentType": 5125, "count": 3 * len(mesh.faces),
-                  "type": "SCALAR"}]  # fmt: skip
-    tree = {
-        "asset": {"version": "2.0"}, "buffers": [{"uri": "a.bin", "byteLength": len(arrays)}],
-        "bufferViews": views, "accessors": accessors, "nodes": [{"mesh": 0}],
-        "scenes": [{"nodes": [0]}], "scene": 0,
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-    }  # fmt: skip
-    (tmp_path / "a.gltf").write_text(json.dumps(tree))
-    first = complete(store, "a", tmp_path / "a.gltf", PLAN)
-    assert not complete(store, "a", tmp_path / "a.gltf", PLAN).computed
-    doubled = (2 * mesh.points).astype("<f4").tobytes() + arrays[size:]
-    (tmp_path / "a.bin").write_bytes(doubled)
-    second = complete(store, "a", tmp_path / "a.gltf", PLAN)
-    assert second.computed
-    assert second.record.area == pytest.approx(4 * first.record.area)
-
-
-def test_threads_tell_their_own_damage(store, tmp_path):
-    files = [tmp_path / f"{i}.off" for i in range(8)]
-    for i, file in enumerate(files):
-        write(creature(520, seed=i), file)
-        complete(store, file.stem, file, PLAN)
-    for entry in store.entries("spectra"):
-        entry.path.write_bytes(b"")
-    filters = list(warnings.filters)
-    with ThreadPoolExecutor(4) as pool:
-        done = list(pool.map(lambda file: complete(store, file.stem, file, PLAN), files))
-    assert warnings.filters == filters
-    for one in done:
-        assert one.computed
-        assert [one.record.spectrum in text for text in one.replaced] == [True]
-
-
-def test_plans_that_do_not_fit_their_shape():
-    cloud = PointCloud(np.random.default_rng(0).random((50, 3)))
-    refused("cloud", "sample meshes", Plan(cloud=20).prepared, cloud)
-    refused("operator", "be one for points", Plan(operator="cotan").laplacian, cloud)
-    refused("boundary", "be neumann on what has none", Plan(boundary="dirichlet").laplacian, cloud)
-
-
-def test_dirichlet_is_that_of_the_operator(store):
-    sheet = rectangle(n=300).geometry
-    values = store.spectrum(sheet, Plan(k=5, boundary="dirichlet")).eigenvalues
-    expected = sk.eigensolve(sk.laplacian(sheet).dirichlet(sheet.boundary_vertices), 5)
-    np.testing.assert_allclose(values, expected.eigenvalues, rtol=1e-10)
-    assert values[0] > 1
-
-
-def test_a_file_that_changed_is_computed_anew_and_one_renamed_is_known(store, tmp_path):
-    write(bumpy(), tmp_path / "a.off")
-    first = complete(store, "a", tmp_path / "a.off", PLAN)
-    assert (first.computed, first.record.kind, first.record.points) == (True, "mesh", bumpy().n)
-    write(bumpy(), tmp_path / "b.ply")  # the same shape, in other bytes
-    second = complete(store, "b", tmp_path / "b.ply", PLAN)
-    assert not second.computed
-    assert second.record.spectrum == first.record.spectrum
-    write(creature(600), tmp_path / "a.off")
-    changed = complete(store, "a", tmp_path / "a.off", PLAN)
-    assert changed.computed
-    assert [one.renewed for one in (first, second, changed)] == [False, False, True]
-    assert store.record("a", PLAN).spectrum == changed.record.spectrum
-    assert [record.name for record in store.records(PLAN)].count("a") == 1
-    assert list(store.records(Plan(k=13))) == []
-
-
-def test_what_a_shape_and_a_solver_were_found_to_be_is_remembered(store, tmp_path):
-    open_mesh = TriangleMesh(bumpy().points, bumpy().faces[:-30])
-    write(open_mesh, tmp_path / "a.off")
-    plan = Plan(k=12, solver=sk.RayleighRitz(subspace=sk.RandomBasis(m=30)), repair=True)
-    write(open_mesh, tmp_path / "copy.ply")
-    first = complete(store, "a", tmp_path / "a.off", plan)
-    second = complete(store, "a", tmp_path / "a.off", plan)
-    assert first.record.warnings
-    assert (second.record, second.computed) == (first.record, False)
-    copy = complete(store, "copy", tmp_path / "copy.ply", plan)
-    assert (copy.record.warnings, copy.computed) == (first.record.warnings, False)
-    assert first.record.level == "residuals"
-    assert (first.record.components, first.record.zero_modes) == (1, 1)
-
-
-def test_a_file_that_cannot_be_read_leaves_no_record(store, tmp_path):
-    (tmp_path / "a.off").write_text("OFF\n1 1 0\n")
-    for file in ("a.off", "none.off"):
-        with pytest.raises(InvalidFileError, match=file):
-            complete(store, "a", tmp_path / file, PLAN)
-    assert list(store.entries()) == []
-
-
-def test_spectra_of_a_store_are_whole_spectra(store):
-    store.spectrum(bumpy(), PLAN)
-    spectrum = Spectrum.load(next(store.entries("spectra")).path)
-    assert spectrum.certificate.relative_residuals.max() < 1e-8
-
-
-def test_what_needs_more_memory_than_there_is_is_not_tried(store, tmp_path):
-    write(bumpy(), tmp_path / "a.off")
-    needed = PLAN.gigabytes(bumpy().n)
-    with (
-        pytest.raises(OutOfMemoryError, match="raise memory_limit, or lower nworkers"),
-        memory_of(0.9 * needed),
-    ):
-        complete(store, "a", tmp_path / "a.off", PLAN)
-    assert list(store.entries("spectra")) == []
-    with memory_of(1.1 * needed):
-        assert complete(store, "a", tmp_path / "a.off", PLAN).computed
-    with memory_of(0.1 * needed):
-        assert not complete(store, "a", tmp_path / "a.off", PLAN).computed
-
-
-# --- several at once ---
-
-
-@dataclass(frozen=True)
-class Together(sk.Dense):
-    """Solves exactly, and remembers how many it was given at once."""
-
-    asked: ClassVar[list[int]] = []
-
-    def begin(self, laplacians, k):
-        self.asked.append(len(laplacians))
-        return [partial(self.eigenpairs, one, k) for one in laplacians]
-
-
-def test_shapes_are_solved_for_together_and_each_fails_for_itself(store, tmp_path, monkeypatch):
-    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
-    monkeypatch.setattr(Together, "asked", [])
-    plan = Plan(k=12, solver=Together(), descriptors=("dna",))
-    for i in range(5):
-        write(creature(520 - i, seed=i), tmp_path / f"{i}.off")
-    (tmp_path / "copy.off").write_bytes((tmp_path / "0.off").read_bytes())
-    (tmp_path / "empty.off").touch()
-    write(PointCloud(np.random.default_rng(0).random((10, 3))), tmp_path / "few.ply")
-    paths = sorted(tmp_path.glob("*.*"))
-    alone = SpectrumStore(tmp_path / "alone")
-    done = list(begin(store, ((path.name, path) for path in paths), plan))
-    found = {path.name: rest for path, rest in zip(paths, done, strict=True)}
-    assert sum(Together.asked) == 5
-    assert max(Together.asked) > 1
-    for name, argument in (("empty.off", "the file is empty"), ("few.ply", "`k` must be at most")):
-        with pytest.raises(SpectraKitError, match=argument):
-            found.pop(name)()
-        with pytest.raises(SpectraKitError, match=argument):
-            complete(alone, name, tmp_path / name, plan)
-    made = {name: rest() for name, rest in found.items()}
-    assert [name for name, one in made.items() if not one.computed] == ["copy.off"]
-    for name, one in made.items():
-        assert one.record == complete(alone, name, tmp_path / name, plan).record
-    assert content(store.path) == content(alone.path)
-    again = begin(store, ((name, tmp_path / name) for name in made), plan)
-    assert not any(rest().computed for rest in again)
-
-
-def out_of_reach(folder):
-    """Return a file that no system finds: its name is too long."""
-    return folder / f"{300 * 'x'}.off"
-
-
-def test_a_file_out_of_reach_fails_when_it_is_its_turn(store, tmp_path, monkeypatch):
-    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
-    write(creature(520), tmp_path / "a.off")
-    files = [("b", out_of_reach(tmp_path)), ("a", tmp_path / "a.off")]
-    first, second = begin(store, files, Plan(k=6, solver=Together()))
-    assert second().computed
-    with pytest.raises(OSError, match="too long"):
-        first()
-
-
-def test_a_defect_shows_where_shapes_go_together(store, tmp_path, monkeypatch):
-    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
-    write(creature(520), tmp_path / "a.off")
-    monkeypatch.setattr("spectra_kit.datasets.together.read_file", lambda *_: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
-        list(begin(store, [("a", tmp_path / "a.off")], Plan(k=6, solver=Together())))
-
-
-def test_what_was_known_and_is_out_of_reach_is_known_no_more(store, tmp_path):
-    path = tmp_path / "a.off"
-    write(creature(520), path)
-    complete(store, "a", path, PLAN)
-    assert known(store, "a", path, PLAN) is not None
-    path = out_of_reach(tmp_path)
-    assert known(store, "a", path, PLAN) is None
-    with pytest.raises(OSError, match="too long"):
-        complete(store, "a", path, PLAN)
-
-
-def test_one_by_one_where_together_is_no_sooner(store, tmp_path, monkeypatch):
-    monkeypatch.setattr(Together, "asked", [])
-    files = [(f"{i}", tmp_path / f"{i}.off") for i in range(2)]
-    for i, (_, path) in enumerate(files):
-        write(creature(520, seed=i), path)
-    with single_threaded():
-        for rest in begin(store, files, Plan(k=6, solver=Together())):
-            assert rest().computed
-    assert Together.asked == []
-
-
-def test_what_is_damaged_is_told_by_those_that_go_together(store, tmp_path, monkeypatch):
-    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
-    plan = Plan(k=6, solver=Together())
-    write(creature(520), tmp_path / "a.off")
-    kept = complete(store, "a", tmp_path / "a.off", plan).record
-    path = store._place("shapes", kept.shape)
-    path.write_bytes(path.read_bytes()[:-100])
-    (rest,) = begin(store, [("a", tmp_path / "a.off")], plan)
-    done = rest()
-    assert not done.computed
-    assert [str(path) in text for text in done.replaced] == [True]
-    assert store.shape(kept.shape).n == 520

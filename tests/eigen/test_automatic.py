@@ -212,10 +212,10 @@ def test_memory_counts_the_factor_and_what_is_made_with_it() -> None:
     """The peak of an exact solution, of points that no factor of a few makes a difference to."""
     for n, k in ((500_000, 96), (100_000, 1000)):
         vectors = 8 * n * (704 + k) / 2**30
-        assert sk.Arpack.memory(n, k) > factor_gigabytes(n) + vectors
+        assert sk.Lanczos.memory(n, k) > factor_gigabytes(n) + vectors
         solver, _ = sk.Automatic(memory=vectors).choose(n, k)
         assert isinstance(solver, sk.Cascade)
-        assert isinstance(sk.Automatic(memory=sk.Arpack.memory(n, k)).choose(n, k)[0], sk.Arpack)
+        assert isinstance(sk.Automatic(memory=sk.Lanczos.memory(n, k)).choose(n, k)[0], sk.Lanczos)
 
 
 def test_each_component_has_its_own(tmp_path) -> None:

@@ -8,8 +8,8 @@ import torch
 from conftest import bumpy, creature, joined, moved
 
 import spectra_kit as sk
-from spectra_kit.eigen.multigrid import coarse_pairs, smoothed
-from spectra_kit.eigen.multigrid.cascade import climb, nested
+from spectra_kit.eigen.multigrid import coarsest_eigenpairs, smoothed
+from spectra_kit.eigen.multigrid.cascade import nested, prolonged
 from spectra_kit.eigen.multigrid.smoothing import Smoothing
 from spectra_kit.geometry import sphere
 
@@ -42,7 +42,7 @@ def test_the_target_is_reached(animal, animal_spectrum, target, device):
     above = errors(found, animal_spectrum)
     assert above.min() > -1e-10  # Ritz values
     assert above.mean() < target
-    assert {"coarsen", "coarse", "carry", "smooth", "rayleigh_ritz"} <= set(
+    assert {"coarsen", "coarse", "prolong", "smooth", "rayleigh_ritz"} <= set(
         found.provenance.seconds
     )
 
@@ -62,7 +62,7 @@ def test_uneven_clouds_in_random_order(uneven):
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 def test_smoothing_makes_a_prediction_ten_times_better(animal, animal_spectrum, cap):
     raw, smooth = (
-        errors(sk.eigensolve(animal, K, sk.Neo(cap=cap, smoothing=steps)), animal_spectrum)
+        errors(sk.eigensolve(animal, K, sk.Neo(coarsest=cap, max_steps=steps)), animal_spectrum)
         for steps in (0, 20)
     )
     assert smooth.mean() < 0.1 * raw.mean()
@@ -70,10 +70,10 @@ def test_smoothing_makes_a_prediction_ten_times_better(animal, animal_spectrum, 
 
 def test_a_second_step_gains_what_is_still_wanted(animal, animal_spectrum):
     levels = nested(animal, 500)
-    pairs = coarse_pairs(levels[-1], 60, K)
+    pairs = coarsest_eigenpairs(levels[-1], 60, K)
 
     def left(target, steps):
-        found = climb(animal, levels, *pairs, K, keep=52, target=target, max_steps=steps)
+        found = prolonged(animal, levels, *pairs, K, keep=52, target=target, max_steps=steps)
         return errors(found, animal_spectrum).mean()
 
     once = left(1e-300, 1)
@@ -157,7 +157,7 @@ def test_estimates_stay_with_the_modes(tmp_path):
 def test_a_bad_step_leaves_no_value_higher(animal, animal_spectrum, monkeypatch, spoilt):
     """Rounding that grew in a correction, until nothing else is left of most columns."""
     levels = nested(animal, 700)
-    pairs = coarse_pairs(levels[-1], 60, K)
+    pairs = coarsest_eigenpairs(levels[-1], 60, K)
     smoothed_well = Smoothing.smoothed
 
     def spoil(self, values, vectors, residual, **options):
@@ -165,9 +165,9 @@ def test_a_bad_step_leaves_no_value_higher(animal, animal_spectrum, monkeypatch,
         return ruined + spoilt * vectors[:, :1] + spoilt * np.sin(5 * self.diagonal)[:, None]
 
     given = {"keep": 60, "target": 1e-300, "max_steps": 1}
-    before = climb(animal, levels, *pairs, K, **given | {"max_steps": 0}).eigenvalues[:K]
+    before = prolonged(animal, levels, *pairs, K, **given | {"max_steps": 0}).eigenvalues[:K]
     monkeypatch.setattr(Smoothing, "smoothed", spoil)
-    after = climb(animal, levels, *pairs, K, **given).eigenvalues[:K]
+    after = prolonged(animal, levels, *pairs, K, **given).eigenvalues[:K]
     assert (after <= before + 1e-9 * before[-1]).all()
     assert (after >= animal_spectrum.eigenvalues[:K] - 1e-9 * before[-1]).all()
 

@@ -9,7 +9,7 @@ from conftest import bumpy, joined, moved, two_sheets, whole_spectrum
 from scipy import sparse
 
 import spectra_kit as sk
-from spectra_kit.eigen import Eigenpairs, solve, verification
+from spectra_kit.eigen import Eigenpairs, run, verification
 from spectra_kit.geometry import sphere, torus
 
 
@@ -114,7 +114,7 @@ def test_parts_are_completed_one_by_one() -> None:
 
 def test_what_cannot_be_completed_is_an_error(bumpy_laplacian, monkeypatch) -> None:
     """The modes found are handed over, and the certificate says that some are missing."""
-    monkeypatch.setattr(solve, "Refined", partial(sk.Refined, max_sweeps=1))
+    monkeypatch.setattr(run, "Refined", partial(sk.Refined, max_sweeps=1))
     monkeypatch.setattr(sk.Dense, "few", 0)
     with pytest.raises(
         sk.ConvergenceError, match="at least 10 modes of the lowest 20 were"
@@ -128,7 +128,7 @@ def test_what_cannot_be_completed_is_an_error(bumpy_laplacian, monkeypatch) -> N
 def test_what_sweeps_cannot_complete_is_solved_densely_on_few_points(
     bumpy_laplacian, monkeypatch
 ) -> None:
-    monkeypatch.setattr(solve, "Refined", partial(sk.Refined, max_sweeps=1))
+    monkeypatch.setattr(run, "Refined", partial(sk.Refined, max_sweeps=1))
     completed = sk.eigensolve(bumpy_laplacian, 20, Forgetful(*range(5, 15)))
     exact = sk.eigensolve(bumpy_laplacian, 20).eigenvalues
     assert completed.eigenvalues == pytest.approx(exact, rel=1e-10, abs=1e-10)

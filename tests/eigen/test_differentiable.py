@@ -13,13 +13,13 @@ import spectra_kit as sk
 from spectra_kit import InvalidInputError, TriangleMesh
 from spectra_kit.eigen.differentiable import eigenvalues, mesh_eigenvalues
 from spectra_kit.geometry import rectangle, sphere, torus
-from spectra_kit.operators._gluing import glued_faces, make_delaunay
-from spectra_kit.operators.mollified import (
+from spectra_kit.operators._cover import cover_of_faces, make_delaunay
+from spectra_kit.operators.differentiable import (
+    _check_same,
     lengthened_by_component,
     lengthened_by_corner,
     sides_in_space,
 )
-from spectra_kit.operators.traced import _check_same
 
 OPERATORS = ["cotan", "robust", "delaunay"]
 RNG = np.random.default_rng
@@ -352,7 +352,7 @@ def test_where_many_points_are_on_a_circle_the_triangles_are_the_right_ones(oper
 def test_more_flips_than_half_edges_are_taken_back(operator: str) -> None:
     mesh, weights = box(150, noise=1e-4), RNG(14).standard_normal(5)
     if operator == "delaunay":
-        corners, lengths, twins, _ = glued_faces(
+        corners, lengths, twins, _ = cover_of_faces(
             mesh.points, mesh.faces.astype(np.int32), sides_in_space(mesh)
         )
         assert len(make_delaunay(corners, lengths, twins, recorded=True)[0]) > len(twins)

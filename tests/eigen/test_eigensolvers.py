@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from conftest import Backend, bumpy, creature, joined, moved, two_parts, whole_spectrum
+from conftest import Backend, bumpy, creature, joined, moved, refused, two_parts, whole_spectrum
 from scipy import sparse
 
 import spectra_kit as sk
@@ -30,7 +30,7 @@ def test_contract(backend: Backend, any_laplacian: sk.Laplacian) -> None:
     assert s.certificate.n_zero_modes == any_laplacian.kernel_dimension
     assert (s.eigenvectors[any_laplacian.fixed] == 0).all()
     assert s.residuals(any_laplacian) == pytest.approx(s.certificate.residuals)
-    chosen = isinstance(backend.solver, sk.Automatic)
+    chosen = isinstance(backend.solver, sk.Automatic | sk.Lanczos)  # blocks have no room here
     assert chosen or s.provenance.solver == repr(backend.solver)
     assert bool(s.provenance.reason) == chosen or "by arpack" in s.provenance.reason
     exact = once(any_laplacian, K, sk.Dense()).eigenvalues
@@ -101,8 +101,8 @@ OTHERWISE = [
     (sk.Cascade(coarsest=600), {"seed": 1}),  # so few points are refined
     (sk.RayleighRitz(subspace=WAVES), {"rank_tol": 1e-2}),
     (
-        sk.Neo(cap=200),
-        {"cap": 300, "smoothing": 0, "target": 1e-7, "dtype": "bfloat16", "poses": 2},
+        sk.Neo(coarsest=200),
+        {"coarsest": 300, "max_steps": 0, "target": 1e-7, "dtype": "bfloat16", "poses": 2},
     ),
 ]
 
@@ -199,6 +199,25 @@ def test_a_plain_class_of_a_user_is_a_backend(bumpy_laplacian: sk.Laplacian) -> 
     mine = Changed(lambda values, vectors: (values[::-1], vectors[:, ::-1]))  # any order will do
     s = sk.eigensolve(bumpy_laplacian, 5, mine)
     assert s.eigenvalues == pytest.approx(sk.eigensolve(bumpy_laplacian, 5).eigenvalues, abs=1e-9)
+
+
+@pytest.mark.parametrize("solver", ["automatic", "arpack", "dense", "refined"])
+def test_matrices_of_scipy_and_solvers_by_name(any_laplacian: sk.Laplacian, solver: str) -> None:
+    L = any_laplacian.restricted(any_laplacian.free)
+    exact = once(any_laplacian, K, sk.Dense()).eigenvalues
+    for mass in (L.mass, sparse.diags(L.mass), sparse.csr_array(sparse.diags_array(L.mass))):
+        found = sk.eigensolve(L.stiffness, K, solver, mass=mass)
+        assert found.eigenvalues == pytest.approx(exact, rel=1e-8, abs=1e-9)
+        assert found.certificate.level == "verified"
+
+
+def test_what_matrices_lack(bumpy_laplacian: sk.Laplacian) -> None:
+    L, M = bumpy_laplacian.stiffness, bumpy_laplacian.mass
+    refused("mass", "go with a stiffness matrix", sk.eigensolve, L, 4)
+    refused("mass", "be left out", sk.eigensolve, bumpy_laplacian, 4, mass=M)
+    refused("mass", "be lumped", sk.eigensolve, L, 4, mass=L)
+    refused("solver", "be an exact one", sk.eigensolve, L, 4, "cascade", mass=M)
+    refused("solver", "be an Eigensolver, got 'apack'", sk.eigensolve, L, 4, "apack", mass=M)
 
 
 @pytest.mark.parametrize("mesh", [bumpy(), two_parts()])
@@ -298,8 +317,8 @@ def test_a_larger_prediction_lowers_every_ritz_value() -> None:
     one, two, alone, both = (
         sk.eigensolve(laplacian, 40, solver).eigenvalues[1:]
         for solver in (
-            sk.Neo(smoothing=0),
-            sk.Neo(smoothing=0, poses=2),
+            sk.Neo(max_steps=0),
+            sk.Neo(max_steps=0, poses=2),
             sk.RayleighRitz(subspace=waves),
             sk.RayleighRitz(subspace=sk.Union(sk.Neo().subspace, waves)),
         )

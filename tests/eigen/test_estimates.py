@@ -7,8 +7,8 @@ import pytest
 from conftest import creature
 
 import spectra_kit as sk
-from spectra_kit.eigen.multigrid import coarse_pairs
-from spectra_kit.eigen.multigrid.cascade import climb, nested
+from spectra_kit.eigen.multigrid import coarsest_eigenpairs
+from spectra_kit.eigen.multigrid.cascade import nested, prolonged
 from spectra_kit.eigen.multigrid.estimates import excess, in_order
 from spectra_kit.eigen.multigrid.smoothing import Smoothing, on_device
 from spectra_kit.geometry import sphere, torus
@@ -46,7 +46,7 @@ SHAPES = {
 def start(laplacian, k=K):
     """Levels, and Ritz pairs of the coarsest."""
     levels = nested(laplacian, 700)
-    return levels, coarse_pairs(levels[-1], 80, k)
+    return levels, coarsest_eigenpairs(levels[-1], 80, k)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -57,7 +57,7 @@ def test_within_three_of_the_true_error(shape):
     levels, pairs = start(laplacian)
     ratios = []
     for steps in (1, 2, 4):
-        found = climb(laplacian, levels, *pairs, K, keep=80, target=1e-300, max_steps=steps)
+        found = prolonged(laplacian, levels, *pairs, K, keep=80, target=1e-300, max_steps=steps)
         true = found.eigenvalues[1:K] / exact[1:] - 1
         ratios.append(np.maximum(found.errors[1:], 1e-11) / np.maximum(true, 1e-11))
     ratio = np.array(ratios)
@@ -70,7 +70,7 @@ def test_few_modes_are_told_one_by_one(animal, animal_spectrum):
     """Without a fit to those between."""
     for k in (2, 8, 9, 10):
         levels, pairs = start(animal, k)
-        found = climb(animal, levels, *pairs, k, keep=30, target=1e-300, max_steps=1)
+        found = prolonged(animal, levels, *pairs, k, keep=30, target=1e-300, max_steps=1)
         true = found.eigenvalues[1:k] / animal_spectrum.eigenvalues[1:k] - 1
         assert (np.abs(np.log(found.errors[1:] / true)) < np.log(3)).all()
         assert 0 <= found.errors[0] < 1e-9
@@ -78,7 +78,7 @@ def test_few_modes_are_told_one_by_one(animal, animal_spectrum):
 
 def test_neither_unit_nor_order_nor_place_matters(animal):
     levels, pairs = start(animal)
-    found = climb(animal, levels, *pairs, K, keep=80, target=1e-300, max_steps=1)
+    found = prolonged(animal, levels, *pairs, K, keep=80, target=1e-300, max_steps=1)
     values, X, falls = found.eigenvalues, found.eigenvectors, np.linspace(0, 1e-3, K)
 
     def told(laplacian, values, X, falls, place="cpu"):

@@ -11,7 +11,7 @@ from conftest import whole_spectrum
 from scipy import sparse
 
 import spectra_kit as sk
-from spectra_kit.eigen.audit import counted_errors
+from spectra_kit.eigen.accuracy import counted_errors
 from spectra_kit.errors import DoubtfulSpectrumWarning
 from spectra_kit.geometry import TriangleMesh, sphere
 

@@ -151,7 +151,7 @@ EXACT = [
 APPROXIMATE = [
     sk.RayleighRitz(subspace=sk.AmbientFourier(m=80)),
     sk.Cascade(coarsest=100),
-    sk.Neo(cap=100),
+    sk.Neo(coarsest=100),
 ]
 
 

@@ -12,10 +12,10 @@ from scipy.spatial import cKDTree
 from spectra_kit import Laplacian, TriangleMesh, cotan_laplacian, eigensolve, robust_laplacian
 from spectra_kit.eigen.multigrid import (
     Subset,
-    coarse_pairs,
+    cascade,
     coarsen,
+    coarsest_eigenpairs,
     prolongation,
-    solve,
     well_spread,
 )
 from spectra_kit.errors import InvalidInputError
@@ -163,8 +163,8 @@ def test_nested_levels_compose(animal, animal_spectrum):
 
 
 def test_sweeps_find_the_lowest_pairs_of_the_level(monkeypatch):
-    monkeypatch.setattr(solve, "_DENSE", 0)
+    monkeypatch.setattr(cascade, "_DENSE", 0)
     level = coarsen(robust_laplacian(bumpy(2562)), 600)
     truth = eigh(level.stiffness.toarray(), level.mass.toarray(), eigvals_only=True)[:30]
-    values, _ = coarse_pairs(level, 45, 30, rtol=1e-12)
+    values, _ = coarsest_eigenpairs(level, 45, 30, rtol=1e-12)
     np.testing.assert_allclose(values[:30], truth, rtol=1e-9, atol=1e-9)

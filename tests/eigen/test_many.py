@@ -10,7 +10,7 @@ from conftest import GEOMETRIES, creature, data_folder, joined, laplacian_of, mo
 
 import spectra_kit as sk
 from spectra_kit import Neo, eigensolve, eigensolve_many, robust_laplacian
-from spectra_kit.eigen.many import _groups
+from spectra_kit.eigen.solve import _groups
 from spectra_kit.errors import DoubtfulSpectrumWarning, InvalidInputError, SpectraKitError
 from spectra_kit.geometry import sample, torus
 from spectra_kit.neo.train.pool import open_pool
@@ -104,13 +104,13 @@ def test_what_cannot_share_a_pass_is_solved_beside_the_others():
 
 @pytest.mark.parametrize(
     "solver",
-    [Neo(cap=300), Neo(smoothing=0), Neo(poses=2, chunk=700)],
-    ids=["cap", "raw", "poses"],
+    [Neo(coarsest=300), Neo(max_steps=0), Neo(poses=2, chunk=700)],
+    ids=["coarsest", "raw", "poses"],
 )
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 def test_every_option_of_the_solver_holds(solver):
     for spectrum, shape in zip(eigensolve_many(bodies()[:4], K, solver), bodies(), strict=False):
-        assert_same(spectrum, eigensolve(shape, K, solver), 1e-4 if not solver.smoothing else 1e-6)
+        assert_same(spectrum, eigensolve(shape, K, solver), 1e-4 if not solver.max_steps else 1e-6)
 
 
 @pytest.mark.parametrize("solver", [sk.Arpack(), sk.Automatic(), sk.Dense()], ids=str)

@@ -48,7 +48,7 @@ TABLE = [
     ),
     (lambda: solve(sk.Dense(), True), "k", "be an integer"),
     (lambda: solve(sk.Arpack), "solver", "be an Eigensolver"),
-    (lambda: solve("arpack"), "solver", "be an Eigensolver"),
+    (lambda: solve("apack"), "solver", "be an Eigensolver"),
     (lambda: solve(sk.Dense(max_points=600)), "laplacian", "have at most 600 points for Dense"),
     (
         lambda: solve(sk.Arpack(), 7000, sk.robust_laplacian(creature(20_500, seed=0))),
@@ -62,6 +62,7 @@ TABLE = [
     (lambda: sk.Arpack(tol=-1), "tol", "be in [0, 1)"),
     (lambda: sk.Arpack(tol="tight"), "tol", "be a number"),
     (lambda: sk.Arpack(max_restarts=0), "max_restarts", "be at least 1"),
+    (lambda: sk.Lanczos(max_shifts=0), "max_shifts", "be at least 1"),
     (lambda: sk.Dense(max_points=0), "max_points", "be at least 1"),
     (lambda: sk.Refined(seed=-1), "seed", "be at least 0"),
     (lambda: sk.RayleighRitz(rank_tol=0), "rank_tol", "be positive"),

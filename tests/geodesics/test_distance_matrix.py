@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
-from conftest import creature, refused, two_parts
+from conftest import creature, joined, moved, refused, two_parts
 from geodesic_truths import angles, straight
 
 from spectra_kit.errors import DoubtfulDistanceWarning
@@ -22,7 +22,7 @@ from spectra_kit.geometry import TriangleMesh, rectangle, sphere
 
 # Of what is coarse, and compared with itself alone.
 coarse = pytest.mark.filterwarnings("ignore:.*triangles are too large")
-SOURCES = [*range(0, 600, 31), [3, 4], FacePoint(7, (0.2, 0.3, 0.5))]
+SOURCES = [*range(0, 600, 50), [3, 4], FacePoint(7, (0.2, 0.3, 0.5))]
 
 
 def same_fields(one, other) -> None:
@@ -93,24 +93,23 @@ def test_all_points_of_a_sphere_are_an_angle_apart() -> None:
     assert not matrix.diagonal().any()
     away = truth > 0
     assert np.abs(matrix - truth)[away].mean() < 0.03 * truth[away].mean()
-    one_way = distance_matrix(ball, dtype="float64", symmetric=False)
-    np.testing.assert_array_equal(matrix, (one_way + one_way.T) / 2)
-    assert np.abs(matrix - truth).mean() <= np.abs(one_way - truth).mean()
 
 
 @coarse
 def test_the_mean_of_both_directions_is_nearer_to_exact_distances() -> None:
-    mesh = creature(600)
+    mesh = creature(500)
     truth = np.array([exact_distances(mesh, i) for i in range(0, mesh.n, 40)])
-    errors = [
-        np.abs(distance_matrix(mesh, dtype="float64", symmetric=way)[::40] - truth).mean()
-        for way in (True, False)
-    ]
+    one_way = distance_matrix(mesh, dtype="float64", symmetric=False)
+    mean = distance_matrix(mesh, dtype="float64")
+    np.testing.assert_array_equal(mean, (one_way + one_way.T) / 2)
+    errors = [np.abs(matrix[::40] - truth).mean() for matrix in (mean, one_way)]
     assert errors[0] < errors[1] < 0.04 * truth.mean()
 
 
+@coarse
 def test_what_is_not_reached_is_infinitely_far() -> None:
-    mesh = two_parts()
+    ball = sphere(subdivisions=1).geometry
+    mesh = joined(ball, moved(ball, 5, 0, 0))
     matrix = distance_matrix(mesh)
     labels = HeatGeodesics(mesh).triangulation.laplacian.component_labels
     np.testing.assert_array_equal(np.isfinite(matrix), labels[:, None] == labels)

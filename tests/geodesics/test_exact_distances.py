@@ -7,9 +7,8 @@ from geodesic_truths import angles, by_libigl, straight
 from scipy.spatial import Delaunay
 
 from spectra_kit.errors import ConvergenceError
-from spectra_kit.geodesics import FacePoint, exact_distances
+from spectra_kit.geodesics import FacePoint, exact_distances, pair_distances
 from spectra_kit.geometry import TriangleMesh, sphere
-from spectra_kit.maps import geodesic_distances
 
 CORNERS = [[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
 QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
@@ -165,7 +164,7 @@ def test_targets_and_pairs_are_part_of_the_whole():
     targets = [600, 3, mesh.n - 1, 600]
     np.testing.assert_array_equal(exact_distances(mesh, 3, targets=targets), whole[targets])
     assert exact_distances(mesh, 3, targets=np.empty(0, dtype=int)).shape == (0,)
-    pairs = geodesic_distances(mesh, [3, 3, 9], [7, 700, 9], method="exact")
+    pairs = pair_distances(mesh, [3, 3, 9], [7, 700, 9], method="exact")
     np.testing.assert_array_equal(pairs, [whole[7], np.inf, 0])
 
 

@@ -21,13 +21,13 @@ from spectra_kit.errors import (
     SplitSurfaceWarning,
 )
 from spectra_kit.geodesics import (
-    Automatic,
     Direct,
     Exact,
     FacePoint,
     Heat,
     HeatGeodesics,
     Iterative,
+    WithinMemory,
     check_sources,
     exact_distances,
     geodesic_distance,
@@ -40,7 +40,7 @@ from spectra_kit.operators.triangle_calculus import areas
 
 BOTH = [Direct(), Iterative()]
 PAPER = {"drop": None, "relaxation": 0.0, "modes": 59}
-SOLVERS = [*BOTH, Iterative(coarse="projected"), Iterative(**PAPER), Automatic()]
+SOLVERS = [*BOTH, Iterative(coarse="projected"), Iterative(**PAPER), WithinMemory()]
 each_solver = pytest.mark.parametrize("solver", BOTH, ids=["direct", "iterative"])
 
 
@@ -414,11 +414,11 @@ def test_the_choice_is_explained(animal, modes) -> None:
     for spectrum in (None, modes.truncate(1)):
         plain = HeatGeodesics(animal, spectrum, solver=Iterative()).distance(0)
         assert (plain.solver, plain.solver.name) == (Iterative(coarse="none"), "iterative")
-    choose = Automatic(modes=7, rtol=1e-6).choose
+    choose = WithinMemory(modes=7, rtol=1e-6).choose
     assert choose(400_000)[0] == Direct()
     assert choose(50_000_000)[0] == Iterative(modes=7, rtol=1e-6)
     assert "more than 4" in choose(50_000_000)[1]
-    low = HeatGeodesics(animal, solver=Automatic(memory=1e-5)).distance(0)  # no room for factors
+    low = HeatGeodesics(animal, solver=WithinMemory(memory=1e-5)).distance(0)  # no room for factors
     assert low.solver == Iterative(coarse="none")
     assert np.abs(low.distance - small.distance).max() < 1e-6
 
@@ -444,7 +444,7 @@ def test_what_factors_take_is_counted_where_it_was_estimated_too_low(animal) -> 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("spectra_kit.geodesics.solvers.factor_gigabytes", lambda n: 0.0)
         fields = [
-            HeatGeodesics(animal, solver=Automatic(memory=times * taken)).distance(0)
+            HeatGeodesics(animal, solver=WithinMemory(memory=times * taken)).distance(0)
             for times in (1.001, 0.999)
         ]
     assert [field.solver for field in fields] == [Direct(), Iterative(coarse="none")]
@@ -469,7 +469,7 @@ def test_what_suits_one_part_says_nothing_of_the_next(boundary) -> None:
     taken = 2 * System.of(triangulation, 0).elimination.gigabytes
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("spectra_kit.geodesics.solvers.factor_gigabytes", lambda n: 0.0)
-        solver = Automatic(memory=0.99 * taken)  # the ball does not fit, the sheet does
+        solver = WithinMemory(memory=0.99 * taken)  # the ball does not fit, the sheet does
         one, two = (HeatGeodesics(triangulation, solver=solver, boundary=boundary) for _ in "ab")
         first = one.distance(ball), one.distance(other)
         second = two.distance(other), two.distance(ball)
@@ -486,7 +486,7 @@ def test_factors_of_all_parts_together_stay_within_the_memory() -> None:
     taken = 2 * System.of(triangulation, 0).elimination.gigabytes
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("spectra_kit.geodesics.solvers.factor_gigabytes", lambda n: 0.0)
-        geodesics = HeatGeodesics(triangulation, solver=Automatic(memory=2.5 * taken))
+        geodesics = HeatGeodesics(triangulation, solver=WithinMemory(memory=2.5 * taken))
         fields = [geodesics.distance(first) for first in (*firsts, firsts[0])]
     assert all(field.solver == Direct() for field in fields)
     assert sum(ready.gigabytes for ready in geodesics._prepared.values()) <= 2.5 * taken
@@ -567,7 +567,7 @@ def test_heat_that_does_not_get_there_is_kept(animal, monkeypatch) -> None:
 @pytest.mark.parametrize(
     ("make", "options", "argument", "expected"),
     [
-        (HeatGeodesics, {"solver": "direct"}, "solver", "be a Direct, Iterative or Automatic"),
+        (HeatGeodesics, {"solver": "direct"}, "solver", "be a Direct, Iterative or WithinMemory"),
         (HeatGeodesics, {"boundary": "robin"}, "boundary", "be 'neumann', 'dirichlet' or"),
         (HeatGeodesics, {"time_coefficient": 0.0}, "time_coefficient", "be positive"),
         (HeatGeodesics, {"time_coefficient": 1e200}, "time_coefficient", "be in [1e-30, 1e+30]"),
@@ -579,9 +579,9 @@ def test_heat_that_does_not_get_there_is_kept(animal, monkeypatch) -> None:
         (Iterative, {"rtol": 0.0}, "rtol", "be positive"),
         (Iterative, {"rtol": 10.0}, "rtol", "be less than 1"),
         (Iterative, {"max_iterations": 0}, "max_iterations", "be at least 1"),
-        (Automatic, {"modes": 0}, "modes", "be at least 1"),
-        (Automatic, {"rtol": 1.0}, "rtol", "be less than 1"),
-        (Automatic, {"memory": 0.0}, "memory", "be positive"),
+        (WithinMemory, {"modes": 0}, "modes", "be at least 1"),
+        (WithinMemory, {"rtol": 1.0}, "rtol", "be less than 1"),
+        (WithinMemory, {"memory": 0.0}, "memory", "be positive"),
     ],
 )
 def test_wrong_options(animal, make, options, argument, expected) -> None:

@@ -1,10 +1,11 @@
-"""The demo animal and the implicit surfaces it is made of."""
+"""The demo animal, the implicit surfaces it is made of, and pairs: bent, mirrored, permuted."""
 
 import numpy as np
 import pytest
 from conftest import creature, refused
 
 from spectra_kit.eigen import eigensolve
+from spectra_kit.geometry import creature_pair, mirrored, permuted
 from spectra_kit.geometry import implicit as clay
 from spectra_kit.geometry.creature import _animal
 from spectra_kit.geometry.shapes import TriangleMesh
@@ -14,6 +15,11 @@ from spectra_kit.operators import robust_laplacian
 @pytest.fixture(scope="module")
 def animal():
     return creature(3000)
+
+
+@pytest.fixture(scope="module")
+def small():
+    return creature(600)
 
 
 @pytest.mark.parametrize(("n", "seed"), [(500, 0), (777, 4), (12_000, 0)])
@@ -102,3 +108,55 @@ def test_smooth_union_contains_both_and_adds_little():
 def test_no_zero_gives_an_empty_mesh():
     points, faces = clay.polygonize(lambda p: np.ones(len(p)), [-1] * 3, [1] * 3, n_cells=1000)
     assert len(points) == len(faces) == 0
+
+
+# --- pairs ---
+
+
+def edge_lengths(mesh):
+    return np.linalg.norm(np.diff(mesh.points[mesh.unique_edges[0]], axis=1)[:, 0], axis=1)
+
+
+@pytest.mark.parametrize(("seed", "pose"), [(0, 1), (3, 2)])
+def test_a_pose_moves_much_and_stretches_little(seed, pose):
+    rest, bent = creature(600, seed=seed), creature(600, seed=seed, pose=pose)
+    np.testing.assert_array_equal(rest.faces, bent.faces)
+    assert np.abs(np.log(edge_lengths(bent) / edge_lengths(rest))).mean() < 0.06
+    assert bent.area == pytest.approx(rest.area, rel=0.02)
+    assert np.linalg.norm(bent.points - rest.points, axis=1).mean() > 0.1
+    assert np.linalg.det(bent.points[bent.faces]).sum() > 0
+
+
+def test_a_pair_of_equal_size_corresponds_vertex_by_vertex(small):
+    source, target, point_map = creature_pair(600, poses=(0, 1))
+    np.testing.assert_array_equal(source.points, small.points)
+    np.testing.assert_array_equal(point_map, np.arange(600))
+    np.testing.assert_array_equal(target.points, creature(600, pose=1).points)
+
+
+def test_a_remeshed_pair_corresponds_within_an_edge(small):
+    source, target, point_map = creature_pair(600, 500, poses=(0, 0))
+    edge = edge_lengths(source)
+    distance = np.linalg.norm(source.points[point_map] - target.points, axis=1)
+    assert distance.max() < edge.max()
+    assert distance.mean() < edge.mean() / 2
+    np.testing.assert_array_equal(source.points, small.points)
+    np.testing.assert_array_equal(target.points, creature(500).points)
+
+
+def test_a_permuted_copy_is_the_same_surface(small):
+    copy, point_map = permuted(small, seed=3)
+    np.testing.assert_array_equal(copy.points, small.points[point_map])
+    assert {*map(tuple, point_map[copy.faces])} == {*map(tuple, small.faces)}
+    cloud, order = permuted(small.as_cloud(), seed=3)
+    np.testing.assert_array_equal(order, point_map)
+    np.testing.assert_array_equal(cloud.points, copy.points)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_mirrored_copy_looks_outwards_still(small, axis):
+    copy = mirrored(small, axis=axis)
+    volumes = [np.linalg.det(mesh.points[mesh.faces]).sum() for mesh in (small, copy)]
+    assert volumes[1] == pytest.approx(volumes[0])
+    np.testing.assert_array_equal(mirrored(copy, axis=axis).points, small.points)
+    np.testing.assert_array_equal(mirrored(small.as_cloud(), axis=axis).points, copy.points)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from spectra_kit import PointCloud
 from spectra_kit.geometry import estimate_normals, orient_normals, torus
-from spectra_kit.geometry.signs import (
+from spectra_kit.geometry.normals import (
     agree_on_signs,
     symmetric_votes,
     turn_outwards,

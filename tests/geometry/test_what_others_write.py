@@ -512,14 +512,14 @@ def npz_of(path, announced, held, method=zipfile.ZIP_DEFLATED):
         ("a.glb", lambda path: one_accessor(path, count=10**8), "shows more than"),
         ("a.glb", zeros_but_one, "shows more than"),
         ("a.gltf", many_views_of_one_file, "shows more than"),
-        ("a.npz", lambda path: npz_of(path, (10, 3), 64 << 20), "unpack to more than"),
-        ("a.npz", lambda path: npz_of(path, (1 << 20, 8), 64 << 20), "unpack to more than"),
+        ("a.npz", lambda path: npz_of(path, (10, 3), 16 << 20), "unpack to more than"),
+        ("a.npz", lambda path: npz_of(path, (1 << 18, 8), 16 << 20), "unpack to more than"),
         ("a.npz", lambda path: npz_of(path, (1 << 40, 3), 1 << 20), "header announces shape"),
-        ("a.npz", lambda path: npz_of(path, (10, 3), 64 << 20, zipfile.ZIP_BZIP2), "more than"),
+        ("a.npz", lambda path: npz_of(path, (10, 3), 16 << 20, zipfile.ZIP_BZIP2), "more than"),
         ("a.npy", lambda path: npy_of(path, (1 << 40, 3)), "header announces shape"),
         (
             "a.ply.gz",
-            lambda path: path.write_bytes(gzip.compress(bytes(64 << 20))),
+            lambda path: path.write_bytes(gzip.compress(bytes(16 << 20))),
             "unpacks to more",
         ),
         (
@@ -529,7 +529,7 @@ def npz_of(path, announced, held, method=zipfile.ZIP_DEFLATED):
         ),
         (
             "a.off.xz",
-            lambda path: path.write_bytes(lzma.compress(bytes(64 << 20), preset=0)),
+            lambda path: path.write_bytes(lzma.compress(bytes(16 << 20), preset=0)),
             "unpacks to more",
         ),
     ],

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import pickle
-from functools import cache
+from functools import cache, partial
 from itertools import combinations, permutations
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import creature, refused
+from test_match import QUICK
 
 from spectra_kit import InvalidInputError, spectrum
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidFileError
@@ -22,15 +23,15 @@ from spectra_kit.maps import (
     functional_map_from_point_map,
     geodesic_errors,
     match_collection,
-    mismatches,
     prepare,
-    score_of,
+    score_map,
 )
-from spectra_kit.maps.confidence import confidence_of
+from spectra_kit.maps.calibration import confidence_of
 from spectra_kit.maps.synchronise import Found, apart, graph, groups, synchronised
 
 K = 60
 POSES = ("1", "2", "3", "4")
+matched_together = partial(match_collection, options=QUICK)
 
 
 def prepared(mesh: TriangleMesh, **options: int) -> Prepared:
@@ -74,7 +75,7 @@ def kept(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def collection(stranger, kept) -> Collection:
-    return match_collection({"ring": stranger, **poses()}, folder=kept)
+    return matched_together({"ring": stranger, **poses()}, folder=kept)
 
 
 # --- one animal in some poses, and a ring ----------------------------------------------------
@@ -113,7 +114,7 @@ def test_a_stranger_is_named_and_its_maps_are_doubtful(collection) -> None:
 
 @pytest.mark.slow
 def test_a_stranger_moves_nothing(collection, kept) -> None:
-    alone = match_collection(poses(), folder=kept)
+    alone = matched_together(poses(), folder=kept)
     for pair in combinations(POSES, 2):
         ours, theirs = collection.candidate(*pair), alone.candidate(*pair)
         assert float(apart(ours.functional_map, theirs.functional_map)) < 1e-3
@@ -122,7 +123,7 @@ def test_a_stranger_moves_nothing(collection, kept) -> None:
 def test_a_map_without_a_rival_is_no_surer_for_it(collection) -> None:
     one = collection.pair("1", "2", elastic=False)
     assert one.margin == np.inf
-    facts = {"score": one.score, "torn": one.torn, "coverage": one.coverage}
+    facts = {"score": one.score, "discontinuity": one.discontinuity, "coverage": one.coverage}
     assert one.confidence == confidence_of(**facts, margin=1.0)
 
 
@@ -148,7 +149,7 @@ def test_a_copy_of_a_collection_is_one(collection) -> None:
 def test_units_and_numbers_of_modes_may_differ() -> None:
     other = pose("2")[0].with_points(25.4 * pose("2")[0].points)
     more = prepare(spectrum(other, K + 15), other)
-    found = match_collection({"1": poses()["1"], "2": more})
+    found = matched_together({"1": poses()["1"], "2": more})
     assert {shape.spectrum.k for shape in found.shapes.values()} == {K}
     assert error("1", "2", found.pair("1", "2").point_map) < 1
     assert found.pair("1", "2", k=30).functional_map.shape == (30, 30)
@@ -157,7 +158,7 @@ def test_units_and_numbers_of_modes_may_differ() -> None:
 def test_without_geometries_spectra_alone_are_matched() -> None:
     mesh = creature(600)
     copies, truths = zip(*(permuted(mesh, seed=i) for i in range(3)), strict=True)
-    found = match_collection({str(i): prepare(spectrum(m, K)) for i, m in enumerate(copies)})
+    found = matched_together({str(i): prepare(spectrum(m, K)) for i, m in enumerate(copies)})
     for i, j in permutations(range(3), 2):
         right = np.argsort(truths[i])[truths[j]]
         assert (found.pair(str(i), str(j)).point_map == right).all()
@@ -165,12 +166,12 @@ def test_without_geometries_spectra_alone_are_matched() -> None:
 
 def test_a_mirror_image_is_seen_as_one() -> None:
     image = prepared(mirrored(pose("1")[0]))
-    found = match_collection({"1": poses()["1"], "2": poses()["2"], "image": image})
+    found = matched_together({"1": poses()["1"], "2": poses()["2"], "image": image})
     assert found.mirrored.tolist() in ([False, False, True], [True, True, False])
     one = found.pair("2", "image")
     assert one.mirrored
     assert error("2", "1", one.point_map) < 1
-    upright = match_collection({"1": poses()["1"], "image": image}, mirrored=False)
+    upright = matched_together({"1": poses()["1"], "image": image}, mirrored=False)
     assert not upright.mirrored.any()
 
 
@@ -193,7 +194,7 @@ def test_wrong_pairs_are_overruled_by_the_others() -> None:
     def matched(i: int, j: int) -> Found:
         C = right[i, j]
         maps = [flip[:, None] * C for flip in flips] + ([C] if (i, j) != (1, 3) else [])
-        scores = [score_of(mismatches(shapes[i], shapes[j], one)) for one in maps]
+        scores = [score_map(shapes[i], shapes[j], one).score for one in maps]
         if (i, j) != (1, 3):  # claims that do not hold
             scores[0] = 0.9 * min(scores)
         return Found(np.array(maps), np.array(scores), np.zeros(len(maps)), convincing=True)
@@ -250,23 +251,23 @@ def test_interrupted_it_goes_on_with_what_was_kept(collection, kept, tmp_path) -
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        match_collection(shapes, folder=folder, progress=stop)
+        matched_together(shapes, folder=folder, progress=stop)
     assert seen == [(2, 3)]
     before = {file.name: file.stat().st_mtime_ns for file in folder.iterdir()}
     assert before
-    found, again = (match_collection(shapes, folder=folder) for _ in range(2))
+    found, again = (matched_together(shapes, folder=folder) for _ in range(2))
     assert {name: (folder / name).stat().st_mtime_ns for name in before} == before
-    anew = match_collection(shapes, folder=kept)  # which were all found without a break
+    anew = matched_together(shapes, folder=kept)  # which were all found without a break
     assert (found.frames == anew.frames).all()
     assert (again.frames == anew.frames).all()
     assert found.pairs == anew.pairs
     # Another question is another file.
-    match_collection({name: shapes[name] for name in POSES[:2]}, folder=folder, mirrored=False)
+    matched_together({name: shapes[name] for name in POSES[:2]}, folder=folder, mirrored=False)
     assert len(list(folder.iterdir())) == len(found.pairs) + 1
     for file in folder.iterdir():
         file.write_bytes(file.read_bytes()[:100])
     with pytest.raises(InvalidFileError, match="kept pair of a collection"):
-        match_collection(shapes, folder=folder)
+        matched_together(shapes, folder=folder)
 
 
 # --- refused ----------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from conftest import creature, refused
 from scipy.spatial import cKDTree
+from test_match import QUICK
 
 from spectra_kit import TriangleMesh, robust_laplacian
 from spectra_kit.eigen import eigensolve
@@ -23,10 +24,10 @@ from spectra_kit.geometry import (
     torus,
 )
 from spectra_kit.maps import Match, Prepared, match, match_part, prepare
-from spectra_kit.maps.topology import clustered, topology_of
+from spectra_kit.maps.surface import clustered, topology_of
 
 K = 50
-QUICK = {"elastic": False, "mirrored": False}
+STIFF = {"elastic": False, "options": QUICK}
 
 
 @cache
@@ -109,13 +110,13 @@ def test_eigenvalues_in_clusters_are_seen() -> None:
 def test_noise_is_no_map_of_anything(other) -> None:
     ball = sphere(subdivisions=3).geometry
     noise = np.random.default_rng(0).normal(size=ball.points.shape)
-    found = doubted(ball.with_points(ball.points + 0.3 * noise), other)
+    found = doubted(ball.with_points(ball.points + 0.3 * noise), other, **STIFF)
     assert not found.convincing
     assert {"score", "alike"} & set(found.doubts)
 
 
 def test_a_ring_is_no_ball() -> None:
-    found = doubted(torus(n=600).geometry, sphere(subdivisions=3).geometry, elastic=False)
+    found = doubted(torus(n=600).geometry, sphere(subdivisions=3).geometry, **STIFF)
     assert found.genera == (1, 0)
     assert "genera" in found.doubts
     assert not found.convincing
@@ -137,14 +138,16 @@ def test_round_surfaces_are_ambiguous_until_told(radius) -> None:
     turn *= np.linalg.det(turn)
     other, truth = permuted(ball_with(radius + 0.02 * np.sin(5 * x + 3 * z)), seed=2)
     moved = other.with_points(other.points @ turn)
-    found = doubted(one, moved, **QUICK)
+    found = doubted(one, moved, mirrored=False, **STIFF)
     assert found.ambiguous
     assert found.alike
     assert found.confidence <= 0.5
     there = np.arange(0, one.n, one.n // 12)
-    by_landmarks = match(*map(prepared, (one, moved)), landmarks=(truth[there], there), **QUICK)
+    by_landmarks = match(
+        *map(prepared, (one, moved)), landmarks=(truth[there], there), **STIFF, mirrored=False
+    )
     near = cKDTree(one.points).query(other.points)[1]
-    by_places = match(*map(prepared, (one, other)), initial=near, **QUICK)
+    by_places = match(*map(prepared, (one, other)), initial=near, mirrored=False, **STIFF)
     spacing = np.sqrt(4 * np.pi / one.n)
     for told in (by_landmarks, by_places):
         assert not told.alike
@@ -158,14 +161,16 @@ def test_two_parts_are_not_taken_for_wholes() -> None:
     one, other, rest = creature(700, pose=1), creature(700, pose=2), creature(700, pose=0)
     front, back = part_of(one, rest.points[:, 0] < 0.1), part_of(other, rest.points[:, 0] > -0.1)
     for pair in ((front, back), (front, other)):
-        found = doubted(*pair, elastic=False)
+        found = doubted(*pair, **STIFF)
         assert "rims" in found.doubts
         assert not found.convincing
     with pytest.warns(DoubtfulMatchWarning, match="the whole is cut off, too"):
-        assert not match_part(prepared(front), prepared(back), mirrored=False).convincing
+        assert not match_part(
+            prepared(front), prepared(back), mirrored=False, options=QUICK
+        ).convincing
     middle = np.linalg.norm(rest.points - rest.points[0], axis=1) > 0.08
     holed = [part_of(mesh, middle) for mesh in (one, other)]
-    found = match(*map(prepared, holed), elastic=False)
+    found = match(*map(prepared, holed), **STIFF)
     assert min(found.rims) > 0
     assert found.convincing
 
@@ -174,7 +179,7 @@ def test_many_small_holes_are_no_cut() -> None:
     """Whose borders together are longer than that of a part."""
     one, other = creature(1000, pose=1), creature(1000, pose=2)
     holed = part_of(one, ~np.isin(np.arange(1000), [100, 400, 650, 900]))
-    found = match(prepared(holed), prepared(other), elastic=False)
+    found = match(prepared(holed), prepared(other), **STIFF)
     sides = np.sort(np.concatenate([holed.faces[:, [c - 1, c]] for c in range(3)]), axis=1)
     edges, uses = np.unique(sides, axis=0, return_counts=True)
     ends = holed.points[edges[uses == 1]]
@@ -194,14 +199,14 @@ def test_landmarks_hold_or_are_told() -> None:
     a, b = prepared(one), prepared(other)
     there = np.arange(0, 600, 50)
     here = truth[there]
-    found = match(a, b, landmarks=(here, there), precise=True)
+    found = match(a, b, landmarks=(here, there), precise=True, options=QUICK)
     assert found.landmarks_held.all()
     assert (found.point_map[there] == here).all()
     assert (found.precise @ one.points)[there] == pytest.approx(one.points[here])
     wrong = here.copy()
     wrong[:4] = here[[6, 7, 8, 9]]
     with pytest.warns(DoubtfulMatchWarning, match="4 of 12 landmarks are lost"):
-        mixed = match(a, b, landmarks=(wrong, there))
+        mixed = match(a, b, landmarks=(wrong, there), options=QUICK)
     assert "landmark_distances" in mixed.doubts
     assert not mixed.landmarks_held[:4].any()
     held = mixed.landmarks_held
@@ -236,11 +241,14 @@ def test_an_initial_map_is_refined(kind) -> None:
 def test_an_initial_map_of_dense_surfaces_is_one_of_all_points() -> None:
     mesh = creature(2400)
     side = prepare(eigensolve(robust_laplacian(mesh), K), mesh, n_points=1000)
-    assert side.dense is not None
+    assert side.subsample is not None
     found = match(side, side, initial=np.arange(mesh.n), mirrored=False)
     assert (found.point_map == np.arange(mesh.n)).mean() > 0.9
 
 
 def test_sheets_may_be_open() -> None:
     sheet = rectangle(n=400).geometry
-    assert "rims" not in match(prepared(sheet, 40), prepared(sheet, 40), **QUICK).doubts
+    assert (
+        "rims"
+        not in match(prepared(sheet, 40), prepared(sheet, 40), mirrored=False, **STIFF).doubts
+    )

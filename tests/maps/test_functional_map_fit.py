@@ -11,17 +11,17 @@ from spectra_kit.features import normalize_descriptors, wave_kernel_signature
 from spectra_kit.geometry import sphere
 from spectra_kit.maps import (
     FitWeights,
+    _energy,
     fit_functional_map,
     functional_map_from_point_map,
     point_map_from_functional_map,
 )
-from spectra_kit.maps import _normal_equations as normal_equations
-from spectra_kit.maps._normal_equations import minimise
-from spectra_kit.maps._terms import (
+from spectra_kit.maps._energy import (
     Commuting,
     Preserved,
     commuting,
     laplacian_mask,
+    minimise,
     preserved,
 )
 from spectra_kit.operators.oriented import oriented_triangles
@@ -101,7 +101,7 @@ def test_the_minimum_is_that_of_the_quadratic_program(k1, k2, dense, with_operat
 
 
 def test_conjugate_gradients_that_do_not_converge_say_so(monkeypatch) -> None:
-    monkeypatch.setattr(normal_equations, "_MAX_STEPS", 1)
+    monkeypatch.setattr(_energy, "_MAX_STEPS", 1)
     with pytest.raises(ConvergenceError, match=r"after 1 steps; raise `commutativity`"):
         minimise(*random_energy(np.random.default_rng(0), 5, 6), dense=0)
 

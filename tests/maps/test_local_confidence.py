@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import creature
-from test_matching import prepared
+from test_match import QUICK, prepared
 
 from spectra_kit import spectrum
 from spectra_kit.errors import InvalidInputError
@@ -24,7 +24,7 @@ def source() -> Prepared:
 
 @pytest.fixture(scope="module")
 def found(source) -> Match:
-    return match(source, source, mirrored=False)
+    return match(source, source, mirrored=False, options=QUICK)
 
 
 def test_a_limb_that_is_turned_about_its_own_axis_is_seen(source, found) -> None:

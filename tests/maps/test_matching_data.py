@@ -2,7 +2,7 @@
 
 import pytest
 from conftest import data_folder
-from measure.matching.subjects import subjects_in, truth_between
+from studies.matching.subjects import subjects_in, truth_between
 
 from spectra_kit.eigen import Arpack, Cascade, eigensolve
 from spectra_kit.maps import geodesic_errors, match, prepare

@@ -1,20 +1,37 @@
-"""Weights files: what goes in comes out, and nothing else gets in."""
+"""Weights: files that hold what went in, shipped ones that are worth it, and how to ship."""
 
 import json
 import re
+import shutil
 import time
 from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 import pytest
+import ship_weights
 import torch
+from conftest import creature
 from safetensors.torch import load_file, save_file
 
+from spectra_kit import eigensolve, robust_laplacian
+from spectra_kit._sparse import orthonormalize
+from spectra_kit.eigen.neo import Neo
+from spectra_kit.eigen.subspaces import AmbientFourier
 from spectra_kit.errors import InvalidInputError, WeightsError
-from spectra_kit.neo import pretrained
+from spectra_kit.neo import WEIGHTS, NeoSubspace, pretrained
 from spectra_kit.neo.model import NeoConfig, NeoNetwork
-from spectra_kit.neo.pretrained import find_weights, load_pretrained, save_weights
+from spectra_kit.neo.pretrained import (
+    Shipped,
+    find_weights,
+    load_pretrained,
+    read_index,
+    save_weights,
+)
 
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "spectra_kit" / "neo" / "weights"
+GOLDEN = Path(__file__).parent / "golden"
 TINY = NeoConfig(width=16, depth=1, heads=2, head_width=8, latents=4, m=12, k=4, frame="none")
 
 
@@ -48,10 +65,8 @@ def test_round_trip_is_exact(path, network, tmp_path):
 
 def test_a_shipped_file_must_have_its_hash(path, monkeypatch, tmp_path):
     digest = find_weights(path).sha256
-    monkeypatch.setattr(pretrained.resources, "files", lambda _: tmp_path)
-    (tmp_path / "weights").mkdir()
-    path = path.rename(tmp_path / "weights" / path.name)
-    monkeypatch.setitem(pretrained.WEIGHTS, "tiny", (path.name, digest))
+    monkeypatch.setattr(pretrained, "_FOLDER", tmp_path)
+    monkeypatch.setitem(pretrained.WEIGHTS, "tiny", Shipped(path.name, digest, {}))
     assert load_pretrained("tiny").sha256 == digest
     with pytest.raises(WeightsError, match=r"one of \[.*'tiny'.*\] or the path .* got 'huge'"):
         load_pretrained("huge")
@@ -148,3 +163,87 @@ def test_a_file_without_a_digest_is_read_too(path, network):
     content = {"config": asdict(TINY), "record": {"steps": 3}}
     save_file(network.state_dict(), path, metadata={"spectra_kit.neo": json.dumps(content)})
     assert load_pretrained(path).record == {"steps": 3}
+
+
+# Shipped weights
+
+
+@pytest.mark.parametrize("name", sorted(WEIGHTS))
+def test_the_file_is_the_one_that_was_trained(name):
+    file, digest, told = WEIGHTS[name]
+    golden = load_file(GOLDEN / file)
+    loaded = load_pretrained(name)
+    assert loaded.sha256 == digest
+    assert told.items() <= loaded.record.items()
+    with torch.no_grad():
+        basis = loaded.network(golden["points"][None], golden["mass"][None])[0]
+    torch.testing.assert_close(basis, golden["basis"], rtol=1e-3, atol=1e-4)
+    assert loaded.record["samples"] > 10_000
+    assert loaded.record["minutes"] > 1
+    errors = [row["validation"] for row in loaded.record["history"]]
+    # After a leg the last row is of the weights as shipped, the others of those in training.
+    assert loaded.record["span_error"] == errors[-1] <= 1.05 * min(errors)
+    assert (FOLDER / file).stat().st_size < 12e6
+
+
+@pytest.fixture(scope="module")
+def exact():
+    """A creature that no training saw, with its exact spectrum."""
+    laplacian = robust_laplacian(creature(2500, seed=123))
+    return laplacian, eigensolve(laplacian, 96)
+
+
+@pytest.fixture(scope="module")
+def joined(exact):
+    """The subspace that the network predicts for the creature in four poses."""
+    laplacian, _ = exact
+    return NeoSubspace("small", poses=4)(laplacian.points, laplacian.mass)
+
+
+def span_error(basis, spectrum):
+    Y = orthonormalize(basis, spectrum.mass)
+    return 1 - np.square(Y.T @ (spectrum.mass[:, None] * spectrum.eigenvectors)).sum(0).mean()
+
+
+def test_small_covers_the_low_modes_better_than_as_many_functions_without_training(exact, joined):
+    laplacian, spectrum = exact
+    one = joined[:, :257]
+    assert span_error(one, spectrum) < 0.004
+    assert span_error(joined, spectrum) < 2e-4
+    errors = [
+        span_error(
+            AmbientFourier(m=257, bandwidth=width)(laplacian.points, laplacian.mass), spectrum
+        )
+        for width in (5.0, 7.0)
+    ]
+    assert span_error(one, spectrum) < min(errors) / 3
+
+
+def test_eigenvalues_of_the_solver(exact):
+    laplacian, spectrum = exact
+    predicted = eigensolve(laplacian, 48, Neo(weights="small", poses=4))
+    relative = predicted.eigenvalues[1:] / spectrum.eigenvalues[1:48] - 1
+    assert relative.min() > -1e-9
+    assert relative.mean() < 0.0015  # two poses alone: 0.0021
+
+
+@pytest.mark.parametrize("name", ["small", "another"])
+def test_weights_are_shipped_under_their_name(path, tmp_path, name):
+    folder = tmp_path / "spectra_kit" / "neo" / "weights"
+    for made in (folder, tmp_path / "tests" / "neo" / "golden"):
+        made.mkdir(parents=True)
+    shutil.copy(FOLDER / "index.json", folder)
+    digest = ship_weights.ship(name, path, tmp_path)
+    file = f"neo-{name}.safetensors"
+    assert read_index(folder) == {**WEIGHTS, name: Shipped(file, digest, {"steps": 3})}
+    loaded = load_pretrained(folder / file)
+    assert (loaded.sha256, loaded.record) == (digest, {"steps": 3})
+    golden = load_file(tmp_path / "tests" / "neo" / "golden" / file)
+    with torch.no_grad():
+        basis = loaded.network(golden["points"][None], golden["mass"][None])[0]
+    torch.testing.assert_close(basis, golden["basis"])
+
+
+def test_other_files_are_refused(tmp_path, capsys):
+    assert ship_weights.main(["small", str(tmp_path / "none.safetensors")]) == 2
+    assert "does not exist" in capsys.readouterr().err

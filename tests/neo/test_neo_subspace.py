@@ -133,8 +133,8 @@ def test_the_shipped_network_gains_from_a_cap():
     def error(solver):
         return (eigensolve(laplacian, 64, solver).eigenvalues[1:] / exact - 1).mean()
 
-    raw, capped = (error(Neo(cap=cap, smoothing=0)) for cap in (None, 1000))
-    assert 0 < error(Neo(cap=1000)) < 0.2 * min(raw, capped)
+    raw, capped = (error(Neo(coarsest=cap, max_steps=0)) for cap in (None, 1000))
+    assert 0 < error(Neo(coarsest=1000)) < 0.2 * min(raw, capped)
     assert 0 < error(Neo()) < 0.2 * raw
 
 
@@ -170,8 +170,8 @@ def test_repr_tells_weights_and_options(network, tmp_path):
     given = repr(NeoSubspace(network))
     assert given.startswith("NeoSubspace(<NeoNetwork>")
     assert weights_digest(network) in given
-    assert "cap=2048, smoothing=20" in repr(Neo(cap=2048))
-    assert "cap" not in repr(Neo())
+    assert "coarsest=2048, max_steps=20" in repr(Neo(coarsest=2048))
+    assert "coarsest" not in repr(Neo())
 
 
 def test_what_cannot_be_done_is_refused(network, laplacian):
@@ -179,8 +179,8 @@ def test_what_cannot_be_done_is_refused(network, laplacian):
         ("poses", "be 1, 2 or 4, got 3", NeoSubspace, {"poses": 3}),
         ("dtype", "be 'float32', ", NeoSubspace, {"dtype": "int8"}),
         ("chunk", "be at least 1", NeoSubspace, {"chunk": 0}),
-        ("cap", "be at least 100, got 0", Neo, {"cap": 0}),
-        ("smoothing", "be at least 0", Neo, {"smoothing": -1}),
+        ("coarsest", "be at least 100, got 0", Neo, {"coarsest": 0}),
+        ("max_steps", "be at least 0", Neo, {"max_steps": -1}),
     ):
         refused(argument, expected, call, **options)
     points, mass = laplacian.points, laplacian.mass

@@ -21,16 +21,18 @@ import numpy as np
 import pytest
 import torch
 import train_neo
-from conftest import ellipsoids, refused
+from conftest import ellipsoids, produced_here, refused
 
 from spectra_kit.errors import ConvergenceError, InvalidInputError, MissingDependencyError
 from spectra_kit.neo.model import NeoConfig, NeoNetwork
 from spectra_kit.neo.pretrained import load_pretrained
 from spectra_kit.neo.train import checkpoint
-from spectra_kit.neo.train.batches import posed, vary
+from spectra_kit.neo.train import stream as streaming
+from spectra_kit.neo.train.checkpoint import Log
 from spectra_kit.neo.train.config import TrainConfig
-from spectra_kit.neo.train.corpus import CorpusConfig, generate
-from spectra_kit.neo.train.log import Log
+from spectra_kit.neo.train.corpus import generate, open_shards, write_shard
+from spectra_kit.neo.train.evaluation import validate
+from spectra_kit.neo.train.loader import posed, vary
 from spectra_kit.neo.train.optim import (
     Muon,
     average_weights,
@@ -39,9 +41,9 @@ from spectra_kit.neo.train.optim import (
     warmup_stable_decay,
 )
 from spectra_kit.neo.train.ranks import Ranks
-from spectra_kit.neo.train.shards import open_shards, write_shard
+from spectra_kit.neo.train.samples import CorpusConfig, Samples
 from spectra_kit.neo.train.stream import SampleStream
-from spectra_kit.neo.train.train import _Run, _shortened, train, validate
+from spectra_kit.neo.train.train import _Run, _shortened, train
 
 TINY = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8)
 CONFIG = TrainConfig(network=TINY, steps=10, batch=4, validation=4, every=5)
@@ -51,7 +53,7 @@ CONFIG = TrainConfig(network=TINY, steps=10, batch=4, validation=4, every=5)
 def folder(tmp_path_factory):
     root = tmp_path_factory.mktemp("corpus")
     for name, seed, n in (("train", 0, 24), ("validation", 1, 8)):
-        write_shard(root / name, 0, *ellipsoids(n, seed), {"family": np.zeros(n)})
+        write_shard(root / name, 0, Samples(*ellipsoids(n, seed), {"family": np.zeros(n)}))
     return root
 
 
@@ -275,9 +277,8 @@ def test_what_is_trained_for_is_what_is_told(of_both_kinds):
 
 def test_networks_that_take_padding_for_points_get_none(corpora):
     corpus, validation = corpora
-    padded = replace(
-        corpus, labels={**corpus.labels, "n": np.full(len(corpus), corpus.n_points - 1)}
-    )
+    short = {"n": np.full(len(corpus), corpus.n_points - 1)}
+    padded = replace(corpus, shards=(replace(corpus.shards[0], labels=short),))
     other = replace(CONFIG, network=replace(TINY, backbone="pointnet++"))
     refused("corpus", "have as many points in each sample", train, padded, validation, other)
 
@@ -438,7 +439,8 @@ def test_samples_on_which_functions_span_everything_are_refused(tmp_path):
     meshes = open_shards(tmp_path)
     fewest = meshes.labels["n"].min()
     assert made_of.fewest <= meshes.fewest == fewest < 64
-    assert replace(meshes, labels={}).fewest == fewest  # counted, where no label tells
+    plain = replace(meshes, shards=(replace(meshes.shards[0], labels={}),))
+    assert plain.fewest == fewest  # counted, where no label tells
     wide = replace(CONFIG, network=replace(TINY, k=4, m=int(fewest)))
     told = f"`corpus` must have samples of at least {fewest + 1} points and 4 modes, got {fewest}"
     with pytest.raises(InvalidInputError, match=told):
@@ -500,7 +502,7 @@ import sys, time, torch
 from spectra_kit.neo.model import NeoConfig
 from spectra_kit.neo.train.config import TrainConfig
 from spectra_kit.neo.train.ranks import process_group
-from spectra_kit.neo.train.shards import open_shards
+from spectra_kit.neo.train.corpus import open_shards
 from spectra_kit.neo.train.train import train
 
 torch.set_num_threads(1)
@@ -589,51 +591,57 @@ def states(group):
 
 
 @pytest.mark.slow
-def test_a_killed_run_on_a_stream_ends_as_one_in_a_single_go(tmp_path):
+def test_a_killed_run_on_a_stream_ends_as_one_in_a_single_go(tmp_path, monkeypatch):
     made_of = CorpusConfig(seed=1, n_points=100, k=4, shard_size=4, mesh_share=0.5)
     generate(tmp_path / "validation", 4, config=made_of)
+    few = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=10, k=4)
+    monkeypatch.setattr(NeoConfig, "named", lambda name: few)
+
+    def arguments(name):
+        values = {"validation": tmp_path / "validation", "out": tmp_path / name, "steps": 24}
+        values |= {"stream": tmp_path / f"{name}_samples", "shown": 2, "capacity": 24, "batch": 6}
+        values |= {"points": 100, "modes": 4, "shard-size": 4, "mesh-share": 0.5, "beta": 0.5}
+        values |= {"every": 1000, "rows": 1, "save": 0.1}
+        words = [str(word) for name, value in values.items() for word in (f"--{name}", value)]
+        return ["--resume", *words]
+
     (tmp_path / "streamed.py").write_text(STREAM)
     apps = str(Path(train_neo.__file__).parent)
     environment = {**ENVIRONMENT, "PYTHONPATH": os.pathsep.join([apps, *sys.path])}
-
-    def call(name, **options):
-        values = {"validation": tmp_path / "validation", "out": tmp_path / name, "steps": 40}
-        values |= {"stream": tmp_path / f"{name}_samples", "shown": 2, "capacity": 24, "batch": 6}
-        values |= {"points": 100, "modes": 4, "shard-size": 4, "mesh-share": 0.5, "beta": 0.5}
-        values |= {"every": 1000, "rows": 1, "save": 0.1, **options}
-        words = [str(word) for name, value in values.items() for word in (f"--{name}", value)]
-        return [sys.executable, str(tmp_path / "streamed.py"), "--resume", *words]
-
-    subprocess.run(call("whole"), env=environment, check=True, timeout=300)
-    for kill in range(2):
-        before = checkpoint.read(tmp_path / "killed")
-        before = 0 if before is None else before["state"]["step"]
-        niced = ["nice", "-n", "5", *call("killed")]
-        with subprocess.Popen(niced, env=environment, start_new_session=True) as process:
-            while process.poll() is None:
-                there = checkpoint.read(tmp_path / "killed")
-                if there is not None and there["state"]["step"] > before + 5:
-                    break
-                time.sleep(0.05)
-            group = int((tmp_path / "killed" / "group").read_text())
-            autogroup = Path(f"/proc/{group}/autogroup")
-            nice = str(min(os.nice(0) + 5, 19))  # of these tests, and five more
-            assert not autogroup.exists() or autogroup.read_text().split()[-1] == nice
-            os.killpg(group, signal.SIGSTOP)
-            while sys.platform == "linux" and set(states(group)) - {"T", "Z"}:
-                time.sleep(0.05)
-            os.killpg(group, signal.SIGCONT)
-            process.kill()
-        if kill:  # samples may be lost, too
-            shutil.rmtree(tmp_path / "killed_samples" / "shard_0000", ignore_errors=True)
-    subprocess.run(call("killed"), env=environment, check=True, timeout=300)
-    one, other = (checkpoint.read(tmp_path / name) for name in ("killed", "whole"))
-    assert one["state"]["step"] == other["state"]["step"] == 40
-    assert same(one["network"], other["network"])
-    assert same(one["average"], other["average"])
-    assert curve(tmp_path / "killed") == curve(tmp_path / "whole")
+    call = [sys.executable, str(tmp_path / "streamed.py"), *arguments("killed")]
+    niced = ["nice", "-n", "5", *call]
+    with subprocess.Popen(niced, env=environment, start_new_session=True) as process:
+        while process.poll() is None:
+            there = checkpoint.read(tmp_path / "killed")
+            if there is not None and there["state"]["step"] > 5:
+                break
+            time.sleep(0.05)
+        group = int((tmp_path / "killed" / "group").read_text())
+        autogroup = Path(f"/proc/{group}/autogroup")
+        nice = str(min(os.nice(0) + 5, 19))  # of these tests, and five more
+        assert not autogroup.exists() or autogroup.read_text().split()[-1] == nice
+        os.killpg(group, signal.SIGSTOP)
+        while sys.platform == "linux" and set(states(group)) - {"T", "Z"}:
+            time.sleep(0.05)
+        os.killpg(group, signal.SIGCONT)
+        process.kill()
+    assert 5 < checkpoint.read(tmp_path / "killed")["state"]["step"] < 24
+    for folder in ("killed", "killed_samples"):
+        shutil.copytree(tmp_path / folder, tmp_path / folder.replace("killed", "less"))
+    for lost in sorted((tmp_path / "less_samples").glob("shard_*"))[:1]:  # samples, too
+        shutil.rmtree(lost)
+    monkeypatch.setattr(streaming, "produced", produced_here)
+    for name in ("whole", "killed", "less"):
+        assert train_neo.main(arguments(name)) == 0
+    whole = checkpoint.read(tmp_path / "whole")
+    for name in ("killed", "less"):
+        found = checkpoint.read(tmp_path / name)
+        assert found["state"]["step"] == whole["state"]["step"] == 24
+        assert same(found["network"], whole["network"])
+        assert same(found["average"], whole["average"])
+        assert curve(tmp_path / name) == curve(tmp_path / "whole")
     kept = sorted((tmp_path / "killed_samples").glob("shard_*"))
-    assert len(kept) < (24 + 4) / 4 + 6  # of 144 samples in all, the last ones
+    assert len(kept) < (24 + 4) / 4 + 6  # of 96 samples in all, the last ones
 
 
 @pytest.mark.slow
@@ -751,7 +759,7 @@ def test_command_line_end_to_end(tmp_path, capsys, monkeypatch):
     for name in ("train", "validation"):
         points = rng.standard_normal((2, 300, 3))
         modes = rng.standard_normal((2, 300, 64))  # as many as the corpus has
-        write_shard(tmp_path / name, 0, points, np.full((2, 300), 1 / 300), modes, {})
+        write_shard(tmp_path / name, 0, Samples(points, np.full((2, 300), 1 / 300), modes))
     out, folder = tmp_path / "run", str(tmp_path / "train")
     argv = [folder, folder, "--validation", str(tmp_path / "validation")]
     argv += ["--steps", "1", "--batch", "2"]
@@ -781,6 +789,51 @@ def test_command_line_end_to_end(tmp_path, capsys, monkeypatch):
     for wrong in ("frame=none", "m=2.5"):
         with pytest.raises(SystemExit):
             train_neo.main([*argv, "--out", str(out), "--network", wrong])
+
+
+@pytest.fixture
+def streamed(tmp_path, monkeypatch):
+    """Return a function that runs the app on a stream, of samples that are made in this process."""
+    made_of = CorpusConfig(seed=7, n_points=128, k=4, shard_size=4)
+    generate(tmp_path / "validation", 4, config=made_of)
+    few = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=4)
+    monkeypatch.setattr(NeoConfig, "named", {"small": few}.get)
+    monkeypatch.setattr(streaming, "produced", produced_here)
+
+    def run(out, **options):
+        values = {"stream": out / "samples", "validation": tmp_path / "validation", "shown": 0}
+        values |= {"points": 128, "modes": 4, "shard-size": 4, "capacity": 16, "batch": 2}
+        values |= {"steps": 10**6, "every": 10**6, "rows": 1, "out": out, **options}
+        return train_neo.main(
+            [f"--{name}={value}" for name, value in values.items()] + ["--resume"]
+        )
+
+    return run
+
+
+def test_a_run_in_pieces_goes_on_and_its_weights_must_be_better(streamed, tmp_path, capsys):
+    first, second = tmp_path / "run", tmp_path / "elsewhere"
+    pieces = {"minutes": 30, "pause": 0.01}
+    assert streamed(first, **pieces) == 0
+    assert "interrupted: continue with --resume" in capsys.readouterr().out
+    steps = checkpoint.read(first)["state"]["step"]
+    second.mkdir()  # what travels is the checkpoint
+    shutil.copy(first / "checkpoint.pt", second)
+    assert streamed(second, **pieces) == 0
+    state = checkpoint.read(second)["state"]
+    assert state["step"] > steps
+    numbers = open_shards(second / "samples").labels["index"]
+    assert numbers.min() >= steps * 2 // 4 * 4  # others than before
+    capsys.readouterr()
+    weights = second / "weights.safetensors"
+    told = {"weights": weights, "beat": weights, "steps": 1}
+    for lr, name in ((1e-9, "same"), (10.0, "worse")):
+        assert streamed(tmp_path / name, lr=lr, **told) == 0
+        assert "no weights written" in capsys.readouterr().out
+        assert not (tmp_path / name / "weights.safetensors").exists()
+    assert streamed(tmp_path / "better", **(told | {"steps": 40, "lr": 5e-3})) == 0
+    record = load_pretrained(tmp_path / "better" / "weights.safetensors").record
+    assert record["begun_with"]["record"]["samples"] == state["samples"]
 
 
 def test_hours_of_the_run_are_told_by_what_users_get(tmp_path, monkeypatch):
@@ -814,7 +867,7 @@ def test_hours_of_the_run_are_told_by_what_users_get(tmp_path, monkeypatch):
     [
         (["--mesh-share", "0.5", "--makers", "2"], "--makers, --mesh_share is for samples that"),
         (["--weights", "small", "--config", "small"], "--weights come with their sizes"),
-        (["--stream", "S", "--shown", "0"], "`--shown` must be at least 1, got 0"),
+        (["--stream", "S", "--shown", "-1"], "`--shown` must be at least 0, got -1"),
         (["--stream", "S", "--seed", "4"], "samples to train and to validate on are the same"),
         (["OTHER"], "samples to train and to validate on are the same: both of seed 4"),
         (["TRAIN", "--hourly", "OLD"], "`--hourly` must have operators"),

@@ -20,7 +20,7 @@ from spectra_kit import (
 )
 from spectra_kit.errors import SplitSurfaceWarning
 from spectra_kit.geometry import rectangle, sphere, torus
-from spectra_kit.operators import _gluing, delaunay_laplacian, oriented_triangles
+from spectra_kit.operators import _cover, delaunay_laplacian, oriented_triangles
 from spectra_kit.operators._hulls import hulls
 
 
@@ -277,6 +277,6 @@ def test_bad_input(points, options, argument, expected) -> None:
 
 
 def test_flips_that_do_not_end_are_given_up(monkeypatch) -> None:
-    monkeypatch.setattr(_gluing, "_FLIPS", 0)
+    monkeypatch.setattr(_cover, "_FLIPS", 0)
     with pytest.raises(ConvergenceError, match="no end to them after 0; raise `mollify_factor`"):
         delaunay_laplacian(PointCloud(square(200)))

@@ -136,7 +136,13 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     )
     found = maps.Match(
         **{"point_map": same, "functional_map": identity, "mirrored": False, "orientation": 1.0},
-        **{"margin": 2.0, "mirror_margin": 2.0, "consistent": 1.0, "coverage": 1.5, "torn": 0.0},
+        **{
+            "margin": 2.0,
+            "mirror_margin": 2.0,
+            "consistent": 1.0,
+            "coverage": 1.5,
+            "discontinuity": 0.0,
+        },
         candidates=(candidate,),
     )
     panel = show.Panel(values=mesh.points[:, 0], limit=1.0)
@@ -166,17 +172,14 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     dataset = learn.StoreDataset(spectra)
     datasets.complete(spectra, "copy.obj", folder / "mesh.obj", plan)
     pair_of_names = datasets.Pair(source="mesh.obj", target="copy.obj")
-    made = datasets.Matched(
+    of_map = datasets.MapRecord(
         **{"key": "0" * 32, "score": 0.1, "margin": 2.0, "mirror_margin": 2.0, "coverage": 1.5},
         **{"orientation": 1.0, "confidence": 0.9, "mirrored": False},
-        **{"ambiguous": False, "convincing": True},
-        **{"doubts": (), "computed": True, "replaced": (), "seconds": 0.1},
+        **{"ambiguous": False, "convincing": True, "doubts": ()},
     )
-    of_pairs = datasets.BatchReport(completed=((pair_of_names, made),), failed=(), seconds=0.1)
     thumbnail = show.Thumbnail(geometry=mesh, labels=halves, lines=("x",))
     quick = maps.MatchOptions(
-        **{"orders": 1, "growing": 8, "kept": ((8, 2),), "turns": 1, "placed": 1},
-        **{"finalists": 1, "rounds": 1, "bends": 1, "first_bends": 1},
+        **{"orders": 1, "growing": 8, "turns": 1, "finalists": 1, "rounds": 1},
     )
     instances = (  # whose methods are called, or which are arguments of their kind
         *(mesh, mesh.as_cloud(), laplacian, spectrum, spectrum.provenance, spectrum.certificate),
@@ -201,10 +204,10 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
             datasets.DaskEngine(scheduler="tcp://127.0.0.1:8786"),
             pair_of_names,
             datasets.Matching(),
-            made,
+            of_map,
         ),
         *(dataset, recipe, classifier, segmenter, index, thumbnail, learn.Training(epochs=1)),
-        *(show.View(), sk.RayleighRitz(), geodesics.Automatic(), given, map_errors),
+        *(show.View(), sk.RayleighRitz(), geodesics.WithinMemory(), given, map_errors),
         *(metrics.compare_spectra(spectrum, spectrum), geometry.repair(mesh)),
         *(sk.ModeCount(verified=3, radius=0.1, floor=2.0), maps.Truth(same, same)),
         *(geometry.sample_with_origin(mesh, 50, seed=0), geometry.Normalization.unit_box(mesh)),
@@ -222,14 +225,14 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("Cascade.coarsest", 200),
         ("Truth.source Truth.target Truth.symmetric", same),
         ("errors f g symmetric point_arrays values Samples.interpolate.values", np.ones(n)),
-        ("mass", spectrum.mass),
+        ("mass target_mass", spectrum.mass),
         ("inside", np.ones(n, dtype=bool)),
         ("vectors", np.ones((len(triangulation.corners), 2))),
         ("dirichlet_energy.source dirichlet_energy.target", laplacian),
         ("laplacians", [laplacian]),
         ("predict_many.points", [ball.points]),
         ("predict_many.mass", [spectrum.mass]),
-        ("match.source match.target", spectrum),
+        ("match.source match.target prepare.spectrum", spectrum),
         ("spectra", {"a": spectrum}),
         ("dirichlet eigenvalues", spectrum.eigenvalues),
         ("eigenfunctions eigenvectors", spectrum.eigenvectors),
@@ -242,7 +245,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("fit_functional_map.oriented", (oriented, oriented)),
         ("gradient", slopes),
         ("from_diffusion_net.operators", interop.to_diffusion_net(spectrum, laplacian, slopes)),
-        ("mismatches.source mismatches.target", prepared),
+        ("score_map.source score_map.target match_part.part match_part.whole", prepared),
         ("Union.parts start subspace", given),
         ("embedding", features.HeatSignature(count=4)),
         ("Surface.shape embed.shape embed_shape.shape", mesh),
@@ -283,11 +286,10 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("maps", np.stack([identity[:10, :10]])),
         ("candidates", (candidate,)),
         ("MatchedPair.errors plot_correspondence.errors", map_errors),
-        ("score_of.values", {"wave": 0.1}),
         ("match.initial", same),
         ("Match.landmark_distances", np.ones(2)),
         ("match.landmarks fit_functional_map.landmarks", ([0, 1], [0, 1])),
-        ("mismatches.landmarks", (np.array([0, 1]), np.array([0, 1]))),
+        ("score_map.landmarks", (np.array([0, 1]), np.array([0, 1]))),
         ("Collection.shapes match_collection.shapes", two),
         ("Collection.frames", collection.frames),
         ("Collection.mirrored", collection.mirrored),
@@ -313,7 +315,6 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("arrays", {"point_map": same}),
         ("Pair.source Pair.target", "mesh.obj"),
         ("load_match.key SpectrumStore.load_map.key SpectrumStore.has_map.key", "0" * 32),
-        ("write_match_table.report", of_pairs),
         ("complete.file", "mesh.obj"),
         ("SpectrumStore.descriptor.name SpectrumStore.descriptor_key.name", "dna"),
         ("SpectrumStore.entries.kind", "shapes"),
@@ -443,8 +444,7 @@ ALSO = {
     "BatchReport.completed": {"array"},
     "BatchReport.failed": {"array"},
     "match_all.pairs": {"array"},
-    "Matched.doubts": {"array of U"},
-    "Matched.replaced": {"array of U"},
+    "MapRecord.doubts": {"array of U"},
     "inputs": {"array"},
     "Completed.replaced": {"array of U"},
     "Plan.solver": {"Arpack"},

@@ -12,7 +12,7 @@ from scipy import linalg, sparse
 import spectra_kit as sk
 from spectra_kit._sparse.block_lanczos import BlockLanczos
 from spectra_kit._sparse.slicing import _cut, sliced_eigenpairs
-from spectra_kit.eigen import arpack
+from spectra_kit.eigen import lanczos
 from spectra_kit.geometry import creature, sphere
 
 
@@ -73,7 +73,7 @@ def test_clusters_wider_than_the_space_of_a_run(monkeypatch, weight: float) -> N
     assert spectrum.eigenvalues == pytest.approx(exact.eigenvalues, rel=1e-9, abs=1e-9)
     assert spectrum.certificate.n_verified == 100
     if weight == 1e-7:
-        monkeypatch.setattr(arpack, "WIDE", 8)
+        monkeypatch.setattr(lanczos, "WIDE", 8)
         monkeypatch.setattr(sk.Dense, "few", 0)  # which would go on from there
         with pytest.raises(sk.ConvergenceError, match=r"more equal eigenvalues .* use Dense"):
             sk.eigensolve(laplacian, 100)
@@ -100,15 +100,15 @@ def test_against_lapack_up_to_the_end_of_what_is_sliced(uneven, exact) -> None:
 
 
 def test_the_bits_do_not_depend_on_the_number_of_threads(uneven, monkeypatch) -> None:
-    many = sk.Arpack().eigenpairs(uneven, 200)
+    many = sk.Lanczos().eigenpairs(uneven, 200)
     monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
-    one = sk.Arpack().eigenpairs(uneven, 200)
+    one = sk.Lanczos().eigenpairs(uneven, 200)
     assert np.array_equal(many.eigenvectors, one.eigenvectors)
 
 
 def test_with_too_few_shifts_the_lowest_modes_are_kept(uneven, exact) -> None:
     with pytest.raises(sk.ConvergenceError, match="of 400 modes around 1 shift") as caught:
-        sk.eigensolve(uneven, 400, sk.Arpack(max_restarts=1))
+        sk.eigensolve(uneven, 400, sk.Lanczos(max_shifts=1))
     partial = caught.value.partial
     assert 40 < partial.k < 400
     expected = exact.eigenvalues[: partial.k]
@@ -117,7 +117,7 @@ def test_with_too_few_shifts_the_lowest_modes_are_kept(uneven, exact) -> None:
 
 @pytest.mark.parametrize("tol", [1e-7, 1e-2])
 def test_a_tolerance_is_kept_and_all_modes_are_orthonormal(uneven, exact, tol) -> None:
-    loose = sk.eigensolve(uneven, 500, sk.Arpack(tol=tol))
+    loose = sk.eigensolve(uneven, 500, sk.Lanczos(tol=tol))
     assert loose.certificate.relative_residuals.max() < 1e-4
     assert loose.certificate.orthonormality_error < 1e-11
     expected = exact.eigenvalues[:500]

@@ -10,11 +10,10 @@ import torch
 from scipy import sparse
 
 from spectra_kit._core.threads import single_threaded
+from spectra_kit._sparse.blocks import device_clock, device_memory
 from spectra_kit._sparse.torch_device import (
     csr_like,
     csr_product,
-    device_clock,
-    device_memory,
     sparse_tensor,
     torch_threads,
 )

@@ -19,7 +19,7 @@ from spectra_kit.eigen.solve import eigensolve
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.operators import laplacian
-from spectra_kit.operators.traced import traced
+from spectra_kit.operators.differentiable import differentiable_laplacian
 
 Operator = Literal["robust", "cotan", "delaunay"]
 Boundary = Literal["neumann", "dirichlet"]
@@ -121,7 +121,7 @@ class _MeshEigenvalues(torch.autograd.Function):
     ) -> Tensor:
         mesh = TriangleMesh(array_of(points).astype(np.float64), faces)
         if ctx.needs_input_grad[0]:
-            ctx.trace = traced(mesh, operator, boundary)
+            ctx.trace = differentiable_laplacian(mesh, operator, boundary)
             built = ctx.trace.laplacian
         else:
             built = laplacian(mesh, operator=operator, boundary=boundary)

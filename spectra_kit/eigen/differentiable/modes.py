@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from spectra_kit._core.types import Floats, Ints
+from spectra_kit.eigen.accuracy import rounding
 from spectra_kit.eigen.base import Eigensolver
-from spectra_kit.eigen.bounds import rounding
 from spectra_kit.eigen.solve import eigensolve
 from spectra_kit.eigen.spectrum import Spectrum
 from spectra_kit.operators.laplacian import Laplacian

@@ -1,4 +1,4 @@
-"""Cascadic multigrid: modes of a coarse level, carried up and smoothed level by level."""
+"""Cascadic multigrid: modes of a coarse level, prolonged and smoothed level by level."""
 
 from __future__ import annotations
 
@@ -7,16 +7,110 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import sparse
+from scipy.linalg import eigh
 
 from spectra_kit._core.clock import Clock
+from spectra_kit._core.threads import single_threaded_blas
 from spectra_kit._core.types import Floats
 from spectra_kit._sparse.blocks import operations
+from spectra_kit._sparse.ldl import SparseLDL
+from spectra_kit._sparse.products import spmm
 from spectra_kit._sparse.ritz import ritz_pairs, ritz_rotation
 from spectra_kit.eigen.multigrid.coarse import Coarse, coarsen
 from spectra_kit.eigen.multigrid.estimates import excess, in_order
 from spectra_kit.eigen.multigrid.smoothing import Smoothing, on_device
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.operators.laplacian import Laplacian
+
+_DENSE = 1500  # points whose dense eigenproblem takes no longer than sweeps
+_SWEEPS = 20  # at most; three or four settle random columns
+_DEGREE = 4  # of the filter: solves of each column in a sweep
+_RIDGE = 1e-13  # of the diagonal, added to it in the factor, for what is carried to nothing
+_RANK_TOL = 1e-6  # of its functions: what is carried to less is rounding of the mass
+_SHIFT = 1 / 8  # of the guard eigenvalue, below the spectrum
+
+
+def coarsest_eigenpairs(
+    level: Coarse, block: int, k: int, *, rtol: float = 0.01, seed: int = 0
+) -> tuple[Floats, Floats]:
+    """Return the lowest eigenpairs of a coarse level; of a large one, Ritz pairs near them.
+
+    Parameters
+    ----------
+    level : Coarse
+        On n points.
+    block : int
+        Pairs to return, if the level has as many: those beyond k guard the last wanted ones.
+    k : int
+        Wanted pairs.
+    rtol : float, default 0.01
+        On more than 1,500 points, stop when a sweep changes the wanted Ritz values by less than
+        this share of them: no need to go below what the level itself is off by.
+    seed : int, default 0
+        Of the random columns that sweeps begin with.
+
+    Returns
+    -------
+    eigenvalues : ndarray of shape (block,)
+        Ascending; no smaller than those of the finest level.
+    eigenvectors : ndarray of shape (n, block)
+        On the subset, orthonormal in ``P^T M P``.
+
+    Raises
+    ------
+    InvalidInputError
+        If the functions of the level span fewer than k dimensions.
+
+    Notes
+    -----
+    Each sweep filters the columns by a Chebyshev polynomial of ``(L - sigma M)^-1 M`` that is
+    small beyond the guard, as `_sparse.shift_invert.shift_invert_iteration` does for a diagonal
+    mass.
+
+    Examples
+    --------
+    >>> from spectra_kit import robust_laplacian
+    >>> from spectra_kit.geometry import sphere
+    >>> from spectra_kit.eigen.multigrid import coarsest_eigenpairs, coarsen
+    >>> level = coarsen(robust_laplacian(sphere(subdivisions=4).geometry), 600)
+    >>> coarsest_eigenpairs(level, 9, 4)[0][1:4].round(1)
+    array([2., 2., 2.])
+    """
+    L, M = level.stiffness, level.mass
+    if level.n <= _DENSE:
+        try:
+            with single_threaded_blas():
+                some = [0, min(block, level.n) - 1]
+                values, X = eigh(L.toarray(), M.toarray(), subset_by_index=some)
+            return values, np.ascontiguousarray(X)
+        except np.linalg.LinAlgError:  # some points are carried to what others are
+            own = np.eye(level.n)
+            return ritz_pairs(L, M, own, block, least=k, rank_tol=_RANK_TOL)[:2]
+    noise = np.random.default_rng(seed).standard_normal((level.n, block))
+    values, X, _ = ritz_pairs(L, M, noise, block, least=k)
+    factor: SparseLDL | None = None
+    sigma = 0.0
+    for _ in range(_SWEEPS):
+        guard = max(float(values[-1]), level.eigenvalue_spacing)
+        if factor is None or -sigma > 4 * _SHIFT * guard:
+            # The Ritz values of a random start say nothing: not above what Weyl's law suggests.
+            sigma = -_SHIFT * min(guard, 2 * block * level.eigenvalue_spacing)
+            shifted = L - sigma * M
+            ridge = sparse.diags_array(_RIDGE * shifted.diagonal())
+            factor = SparseLDL(sparse.csr_array(shifted + ridge))
+        # The Chebyshev polynomial that is at most 1 on the eigenvalues of T below 1 / edge.
+        edge = guard - sigma
+        previous, X = X, 2 * edge * factor.solve(spmm(M, X)) - X
+        for _ in range(_DEGREE - 1):
+            previous, X = X, 4 * edge * factor.solve(spmm(M, X)) - 2 * X - previous
+        before = values[:k]
+        values, X, _ = ritz_pairs(L, M, X, block, least=1)
+        change = np.abs(values[:k] - before[: len(values)])
+        if (change <= rtol * np.maximum(values[:k], level.eigenvalue_spacing)).all():
+            break
+    return values, X
+
 
 _RATIO = 16  # points of a level relative to those of the next one, at most
 _CARRIED = 8  # products of the first step on a level: interpolation errs at its own spacing
@@ -27,8 +121,8 @@ _MORE = 2  # times smaller than that are errors to become by the next step
 _ROUNDING = 1e-10  # of the last Ritz value: a rise beyond it is none of rounding
 
 
-class Climbed(NamedTuple):
-    """What `climb` reached."""
+class Smoothed(NamedTuple):
+    """What `prolonged` reached."""
 
     eigenvalues: Floats  #: Of all columns, ascending.
     eigenvectors: Any  #: M-orthonormal, on the finest level.
@@ -50,7 +144,7 @@ def nested(laplacian: Laplacian, coarsest: int) -> list[Coarse]:
     return levels
 
 
-def climb(
+def prolonged(
     laplacian: Laplacian,
     levels: Sequence[Coarse],
     values: Floats,
@@ -62,7 +156,7 @@ def climb(
     max_steps: int,
     device: str = "cpu",
     clock: Clock | None = None,
-) -> Climbed:
+) -> Smoothed:
     """Carry Ritz pairs of the coarsest level up to all points, and smooth them on each level.
 
     Parameters
@@ -87,11 +181,11 @@ def climb(
     device : str, default "cpu"
         Where the levels above the coarsest are: arrays on "cpu", tensors elsewhere.
     clock : Clock, optional
-        For the stages ``carry``, ``smooth`` and ``rayleigh_ritz``.
+        For the stages ``prolong``, ``smooth`` and ``rayleigh_ritz``.
 
     Returns
     -------
-    Climbed
+    Smoothed
         Ritz values bound the eigenvalues from above on every level, for the levels are nested.
 
     Notes
@@ -113,7 +207,7 @@ def climb(
         if levels:
             X = ops.product(on_device(levels[i].prolongation, device), X)
         smoothing = Smoothing.of(finer[i], device)
-        clock.stage("carry")
+        clock.stage("prolong")
         residual = smoothing.residual(values, X)
         step, found, gained = 0, None, 0.0
         for step in range(1, 1 + (max_steps if finest else min(max_steps, _MIDDLE))):
@@ -137,7 +231,7 @@ def climb(
             gained += float((falls / least).mean())
             if errors.mean() <= (target / _SURE if finest else max(goal, _LEFT * gained)):
                 break
-    return Climbed(values, X, errors, step)
+    return Smoothed(values, X, errors, step)
 
 
 def _rotated(level: Smoothing, smooth: Any, values: Floats, X: Any, k: int) -> tuple[Floats, Any]:

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 from numpy.typing import ArrayLike
 
-from spectra_kit._core.validate import quantity, warn
+from spectra_kit._core.validate import quantity
+from spectra_kit._core.warn import warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry.polygons import Polygons
 

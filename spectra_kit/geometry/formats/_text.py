@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import quantity, warn
+from spectra_kit._core.validate import quantity
+from spectra_kit._core.warn import warn
 from spectra_kit.errors import IgnoredContentWarning
 
 # That of UTF-32 begins with that of UTF-16.
@@ -81,20 +82,12 @@ def passed_over(lines: Iterable[int], which: str) -> None:
 def are_laid_out(widths: Ints, start: int, lines: Ints, *, lists: bool) -> bool:
     """Whether rows of so many numbers lie on lines as programs write them.
 
-    Where a number is torn in two, the rows that follow may still add up to what is announced,
-    above all where lists may have any length. So rows stand on one line, together or alone; or
-    those on several begin and end with lines, and are lists of one length, more than one.
+    Where a number is torn in two, the rows that follow may still add up to what is announced, above
+    all where lists may have any length. So rows stand on one line, together or alone; or those on
+    several begin and end with lines, and are lists of one length, more than one.
 
-    Parameters
-    ----------
-    widths : ndarray of shape (r,)
-        The numbers of each row.
-    start : int
-        The numbers before the first.
-    lines : ndarray
-        The numbers up to the end of each line, ascending.
-    lists : bool
-        Whether the rows are lists that tell their length.
+    `widths` (r,) are the numbers of each row, behind `start` numbers; `lines` those up to the end
+    of each line, ascending; `lists` whether the rows are lists that tell their length.
     """
     ends = start + np.cumsum(widths)
     starts = ends - widths

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import check_indices, quantity, warn
+from spectra_kit._core.validate import check_indices, quantity
+from spectra_kit._core.warn import warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays
 from spectra_kit.geometry.formats._room import MULTIPLE, room

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from spectra_kit._core.types import Floats
-from spectra_kit._core.validate import quantity, warn
+from spectra_kit._core.validate import quantity
+from spectra_kit._core.warn import warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays, broken_line, real, whole
 from spectra_kit.geometry.formats._text import (

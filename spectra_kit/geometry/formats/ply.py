@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import quantity, warn
+from spectra_kit._core.validate import quantity
+from spectra_kit._core.warn import warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays, check_corners, check_rest, real, whole
 from spectra_kit.geometry.formats._text import Lines, are_laid_out, numbers, text_of

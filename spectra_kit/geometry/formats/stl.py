@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._core.validate import warn
+from spectra_kit._core.warn import warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays, check_rest, real
 from spectra_kit.geometry.formats._text import text_of

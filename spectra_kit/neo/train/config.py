@@ -73,11 +73,6 @@ class TrainConfig:
     seed : int, default 0
         Of initial weights, order and poses.
 
-    Raises
-    ------
-    InvalidInputError
-        If a value is out of its range.
-
     Examples
     --------
     >>> from spectra_kit.neo import NeoConfig

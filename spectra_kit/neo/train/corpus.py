@@ -1,6 +1,15 @@
-"""The corpus: samples made by any number of processes, counted, and written as shards.
+"""The corpus: samples made by any number of processes, kept as shards, read through memory maps.
 
-An interrupted run continues where it stopped, and a corpus does not depend on who made it.
+::
+
+    corpus/corpus.json                   what it is made of
+           shard_0000/points.npy, ...    one array each, see `Samples`
+                      labels.npz         one integer array of shape (s,) per label
+           shard_0001/...
+
+A shard appears under its name only when it is complete, so training may read a folder that
+generation still fills. An interrupted generation continues where it stopped, and a corpus does not
+depend on who made it.
 """
 
 from __future__ import annotations
@@ -8,6 +17,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import re
 import signal
 import threading
 from collections import deque
@@ -15,25 +25,261 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit._core.files import atomic_path, parsing
+from spectra_kit._core.files import atomic_path, parsing, temporary_folder
 from spectra_kit._core.validate import check_count
 from spectra_kit.errors import InvalidInputError, WorkerError
+from spectra_kit.neo.train.config import TrainConfig
 from spectra_kit.neo.train.families import FAMILIES
-from spectra_kit.neo.train.samples import REASONS, CorpusConfig, Sample, make_sample
-from spectra_kit.neo.train.shards import Batch, Operators, open_shards, write_shard
-
-__all__ = ["CorpusConfig", "CorpusReport", "Sample", "generate", "make_sample"]
+from spectra_kit.neo.train.samples import (
+    ARRAYS,
+    OPERATORS,
+    REASONS,
+    CorpusConfig,
+    Samples,
+    make_sample,
+)
 
 _THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _AHEAD = 3  # samples in work or done but not fetched, for each worker
+_NAME = re.compile(r"shard_\d{4,}")
+#: Reads samples of a draw, by their places in it.
+Reader = Callable[[Sequence[int]], Samples]
+
+
+class Source(Protocol):
+    """Where the samples of a run come from: a `Corpus`, or a `SampleStream` that makes them."""
+
+    @property
+    def n_points(self) -> int:
+        """Points per sample."""
+
+    @property
+    def k(self) -> int:
+        """Modes per sample."""
+
+    @property
+    def fewest(self) -> int:
+        """Points of the smallest sample, without padding."""
+
+    @property
+    def has_operators(self) -> bool:
+        """Whether all samples come with their operators."""
+
+    @property
+    def capacity(self) -> int:
+        """Samples that there may be at a time, at most."""
+
+    @property
+    def made(self) -> int:
+        """Samples that there have been so far."""
+
+    def identity(self, config: TrainConfig) -> dict[str, Any] | None:
+        """Return what a batch follows from beside (seed, step) and the samples, as JSON."""
+
+    def draw(self, config: TrainConfig, step: int) -> tuple[NDArray[np.int64], Reader]:
+        """Return the numbers of the samples that a step shows, shape (batch,), and their reader.
+
+        A number is always that of the same sample, and the lowest ones leave first.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class Corpus:
+    """The samples of folders of shards, numbered through; made by `open_shards`.
+
+    Parameters
+    ----------
+    shards : tuple of Samples
+        Memory maps, one per shard.
+    """
+
+    shards: tuple[Samples, ...]
+
+    def __post_init__(self) -> None:
+        sizes = {(s.mass.shape[1], s.eigenvectors.shape[2]) for s in self.shards}
+        if len(sizes) != 1:
+            raise InvalidInputError(
+                f"shards must have the same (points, modes) per sample, got {sorted(sizes)}",
+                advice="keep corpora of different sizes apart, and train on one at a time",
+            )
+
+    @cached_property
+    def labels(self) -> dict[str, NDArray[np.int64]]:
+        """Integer labels of all samples, those that every shard has."""
+        common = set.intersection(*(set(shard.labels) for shard in self.shards))
+        return {
+            name: np.concatenate([shard.labels[name] for shard in self.shards])
+            for name in sorted(common)
+        }
+
+    @cached_property
+    def _ends(self) -> NDArray[np.int64]:
+        """Where each shard ends, in samples."""
+        return np.cumsum([len(shard) for shard in self.shards])
+
+    def __len__(self) -> int:
+        return int(self._ends[-1])
+
+    @property
+    def capacity(self) -> int:
+        """All of them."""
+        return len(self)
+
+    @property
+    def made(self) -> int:
+        """All of them."""
+        return len(self)
+
+    @property
+    def n_points(self) -> int:
+        """Points per sample."""
+        return int(self.shards[0].mass.shape[1])
+
+    @property
+    def k(self) -> int:
+        """Modes per sample."""
+        return int(self.shards[0].eigenvectors.shape[2])
+
+    @cached_property
+    def fewest(self) -> int:
+        """Points of the smallest sample, without padding."""
+        counts = self.labels.get("n")
+        if counts is None:  # as in shards of before, joined with others
+            counts = np.concatenate([np.count_nonzero(s.mass, axis=1) for s in self.shards])
+        return int(np.min(counts, initial=self.n_points))
+
+    @property
+    def has_operators(self) -> bool:
+        """Whether all samples come with their operators."""
+        return all(shard.has_operators for shard in self.shards)
+
+    def batch(self, indices: ArrayLike) -> Samples:
+        """Read the samples `indices`, shape (b,), into memory, in that order."""
+        chosen = np.asarray(indices)
+        which = np.searchsorted(self._ends, chosen, side="right")
+        first = self._ends - [len(shard) for shard in self.shards]
+        places = zip(which, chosen - first[which], strict=True)
+        return Samples.joined([self.shards[i][j : j + 1] for i, j in places])
+
+    def identity(self, config: TrainConfig) -> dict[str, Any] | None:
+        """Return nothing: a run may go on when shards were added."""
+        return None
+
+    def draw(self, config: TrainConfig, step: int) -> tuple[NDArray[np.int64], Reader]:
+        """Return what a step shows, see `Source`."""
+        numbers = shuffled(len(self), config, step)
+        return numbers, lambda places: self.batch(numbers[places])
+
+
+def shuffled(n: int, config: TrainConfig, step: int) -> NDArray[np.int64]:
+    """Return which of n samples a step shows, shape (batch,).
+
+    Every sample comes once per epoch, in an order drawn from (seed, epoch), as long as n stays
+    the same; in a stream, whose n grows, some come again earlier and some later.
+    """
+    places = np.arange(step * config.batch, (step + 1) * config.batch)
+    orders = {
+        int(epoch): np.random.default_rng((config.seed, 0, int(epoch))).permutation(n)
+        for epoch in np.unique(places // n)
+    }
+    return np.array([orders[int(place // n)][place % n] for place in places])
+
+
+def write_shard(folder: str | os.PathLike[str], index: int, samples: Samples) -> Path:
+    """Write one shard: all of it, or nothing.
+
+    Parameters
+    ----------
+    folder : path
+        The corpus; made if missing.
+    index : int
+        Number of the shard. An existing shard is never overwritten.
+    samples : Samples
+        Finite, with masses that sum to one.
+
+    Returns
+    -------
+    Path
+        The folder of the new shard.
+    """
+    for name, array in samples.arrays().items():
+        if not (array.size and np.isfinite(array).all()):
+            raise InvalidInputError(name, "be there and finite in the precision that is stored")
+    sums = samples.mass.sum(axis=1, dtype=np.float64)
+    if not ((samples.mass >= 0).all() and np.allclose(sums, 1, atol=1e-4)):
+        raise InvalidInputError(
+            "mass",
+            "not be negative, and have rows that sum to 1",
+            f"sums in [{sums.min():.6g}, {sums.max():.6g}]",
+            advice="divide by the sum and multiply the eigenvectors by its root",
+        )
+    path = Path(folder) / f"shard_{index:04d}"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with temporary_folder(path.parent) as temporary:
+        for name, array in samples.arrays().items():
+            np.save(temporary / f"{name}.npy", array)
+        np.savez(temporary / "labels.npz", allow_pickle=False, **samples.labels)
+        try:
+            temporary.rename(path)
+        except OSError as error:
+            raise InvalidInputError(
+                f"shard {index} of {folder} exists", advice=f"delete {path} or take another index"
+            ) from error
+    return path
+
+
+def open_shards(*folders: str | os.PathLike[str]) -> Corpus:
+    """Open every complete shard of corpora, in the order of their numbers, without reading it.
+
+    Parameters
+    ----------
+    *folders : path
+        Where `write_shard` wrote. The samples of one that is named twice count twice.
+
+    Returns
+    -------
+    Corpus
+        Opening again later sees shards that were added since.
+    """
+    return Corpus(tuple(_open_shard(path) for folder in folders for path in _paths(Path(folder))))
+
+
+def _paths(root: Path) -> list[Path]:
+    entries = root.iterdir() if root.is_dir() else iter(())
+    paths = [path for path in entries if _NAME.fullmatch(path.name)]
+    if not paths:
+        raise InvalidInputError(
+            "folder", "hold shards", f"none in {root}", advice="generate a corpus first"
+        )
+    return sorted(paths, key=shard_number)
+
+
+def shard_number(path: Path) -> int:
+    """Return the number in the name of a shard."""
+    return int(path.name.removeprefix("shard_"))
+
+
+def _open_shard(path: Path) -> Samples:
+    """Map the arrays of one shard; their values are not read, and damage to them is not seen."""
+    with parsing(path, "shard", remedy="delete it, and generate the corpus again: it is replaced"):
+        dtypes = ARRAYS | OPERATORS if (path / "starts.npy").exists() else ARRAYS
+        arrays = {name: np.load(path / f"{name}.npy", mmap_mode="r") for name in dtypes}
+        with (path / "labels.npz").open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            labels = dict(file.items())
+        for name, array in (arrays | labels).items():
+            dtype = np.dtype(dtypes.get(name, np.int64))
+            if array.dtype != dtype:
+                raise TypeError(f"{name} must be {dtype}, got {array.dtype}")
+        return Samples(**arrays, labels=labels)
 
 
 @dataclass(frozen=True)
@@ -84,14 +330,6 @@ def generate(
     CorpusReport
         Counts over the whole folder.
 
-    Raises
-    ------
-    InvalidInputError
-        If the folder was begun with another configuration, or a shard in it has another length
-        than `n` asks for.
-    WorkerError
-        If a process died.
-
     Notes
     -----
     Shards appear one by one and whole: training may start on the first, and Ctrl-C loses at most
@@ -101,7 +339,8 @@ def generate(
     Examples
     --------
     >>> import tempfile
-    >>> from spectra_kit.neo.train.corpus import CorpusConfig, generate
+    >>> from spectra_kit.neo.train.corpus import generate
+    >>> from spectra_kit.neo.train.samples import CorpusConfig
     >>> config = CorpusConfig(seed=1, n_points=128, k=4, shard_size=2)
     >>> generate(tempfile.mkdtemp(), 3, config=config).samples
     3
@@ -126,7 +365,7 @@ def generate(
                 done += 1
                 if progress is not None:
                     progress(done, len(indices))
-            write_samples(root, i, shard, config.n_points)
+            write_shard(root, i, Samples.joined(shard))
     return report(root)
 
 
@@ -184,41 +423,13 @@ def _is_there(root: Path, index: int, size: int) -> bool:
     return True
 
 
-def write_samples(root: Path, index: int, samples: Sequence[Sample], n_points: int) -> None:
-    """Write one shard of samples."""
-    labels = {name: [sample.labels[name] for sample in samples] for name in samples[0].labels}
-    batch = as_batch(samples, n_points)
-    arrays = batch.points, batch.mass, batch.eigenvectors
-    write_shard(root, index, *arrays, labels, batch.operators)
-
-
-def as_batch(samples: Sequence[Sample], n_points: int) -> Batch:
-    """Return samples in the precisions of the shards, padded to `n_points` each."""
-
-    def padded(name: str, dtype: type[np.floating], **how: Any) -> Any:
-        arrays = [np.asarray(getattr(sample, name), dtype) for sample in samples]
-        rest = [((0, n_points - len(array)), *[(0, 0)] * (array.ndim - 1)) for array in arrays]
-        return np.stack([np.pad(a, width, **how) for a, width in zip(arrays, rest, strict=True)])
-
-    return Batch(
-        padded("points", np.float32, mode="edge"),
-        padded("mass", np.float32),
-        padded("eigenvectors", np.float16),
-        Operators.of(
-            [sample.stiffness for sample in samples],
-            [sample.eigenvalues for sample in samples],
-            n_points,
-        ),
-    )
-
-
 @contextmanager
 def produced(
     config: CorpusConfig, indices: Iterable[int], workers: int
-) -> Iterator[Iterator[Sample]]:
+) -> Iterator[Iterator[Samples]]:
     """Make samples in processes of one thread each, ahead of need, and hand them out in order.
 
-    Of any number of `indices`, in the precisions of the shards. Taking one raises `WorkerError` if
+    Of any number of `indices`. Taking one raises `WorkerError` if
     a process has died. Leaving the block ends the processes; they also end with this one.
     """
     todo = iter(indices)
@@ -228,7 +439,7 @@ def produced(
     try:
         first = islice(todo, _AHEAD * workers)
         with _one_thread():  # all processes start here, and read this
-            ahead = deque(executor.submit(packed_sample, config, i) for i in first)
+            ahead = deque(executor.submit(make_sample, config, i) for i in first)
         yield _in_order(executor, config, ahead, todo)
     finally:
         executor.shutdown(cancel_futures=True)
@@ -237,31 +448,19 @@ def produced(
 def _in_order(
     executor: ProcessPoolExecutor,
     config: CorpusConfig,
-    ahead: deque[Future[Sample]],
+    ahead: deque[Future[Samples]],
     todo: Iterator[int],
-) -> Iterator[Sample]:
+) -> Iterator[Samples]:
     while ahead:
         try:
             sample = ahead.popleft().result()
-            ahead.extend(executor.submit(packed_sample, config, i) for i in islice(todo, 1))
+            ahead.extend(executor.submit(make_sample, config, i) for i in islice(todo, 1))
         except BrokenProcessPool as error:
             raise WorkerError(
                 "a process that makes samples has died, perhaps for lack of memory",
                 advice="start again with fewer `workers`",
             ) from error
         yield sample
-
-
-def packed_sample(config: CorpusConfig, index: int) -> Sample:
-    """Make a sample in the precisions of the shards: a quarter of the bytes to send."""
-    full = make_sample(config, index)
-    return replace(
-        full,
-        points=full.points.astype(np.float32),
-        mass=full.mass.astype(np.float32),
-        eigenvectors=full.eigenvectors.astype(np.float16),
-        stiffness=full.stiffness.astype(np.float32),
-    )
 
 
 @contextmanager

@@ -1,21 +1,80 @@
-"""Errors of what users get: predictions after all the smoothing that `Neo` does."""
+"""Errors of networks on held-out samples: of predictions, and of what users get of them."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count
 from spectra_kit._sparse import orthonormalize
 from spectra_kit.eigen import Cascade, Neo, eigensolve
 from spectra_kit.errors import DoubtfulSpectrumWarning, InvalidInputError
+from spectra_kit.neo.loss import mode_residuals, smoothed_residuals
+from spectra_kit.neo.model import NeoNetwork
+from spectra_kit.neo.train.checkpoint import Row
+from spectra_kit.neo.train.config import TrainConfig
+from spectra_kit.neo.train.corpus import Corpus
 from spectra_kit.neo.train.families import FAMILIES
-from spectra_kit.neo.train.shards import Corpus
+from spectra_kit.neo.train.loader import for_validation, posed
 from spectra_kit.operators.laplacian import Laplacian
+
+_DTYPES = {"float32": None, "bfloat16": torch.bfloat16, "float16": torch.float16}
+
+
+@torch.no_grad()
+def validate(
+    network: NeoNetwork,
+    corpus: Corpus,
+    config: TrainConfig,
+    *,
+    threads: ThreadPoolExecutor | None = None,
+) -> Row:
+    """Return the span errors of a network on the first samples of a corpus.
+
+    Parameters
+    ----------
+    network : NeoNetwork
+        In evaluation mode.
+    corpus : Corpus
+        Of samples that it was not trained on.
+    config : TrainConfig
+        How many, in which pose, and how they are smoothed.
+    threads : ThreadPoolExecutor, optional
+        To work in.
+
+    Returns
+    -------
+    dict of str to float
+        ``validation``, of the prediction, and, of samples with operators, ``smoothed``: means over
+        modes and samples, or if ``config.relative`` geometric means over the samples.
+    """
+    device = next(network.parameters()).device
+    n = min(config.validation, len(corpus))
+
+    @torch.no_grad()
+    def errors(first: int) -> list[Tensor]:
+        indices = range(first, min(first + 8, n))
+        whole = for_validation(posed(corpus.batch(indices), config), config, first)
+        points, mass, U, smoothers = whole.to(device)
+        with autocast(device.type, config.precision):
+            F = network(points, mass)
+        if smoothers:
+            return [left.mean(-1) for left in smoothed_residuals(F, mass, U, *smoothers)]
+        return [mode_residuals(F, mass, U).mean(-1)]
+
+    apply = map if threads is None else threads.map
+    found = zip(*apply(errors, range(0, n, 8)), strict=True)
+    names = ("validation", "smoothed")
+    mean = typical if config.relative else np.mean
+    parts = (torch.cat(part).double().cpu().numpy() for part in found)
+    return {name: float(mean(part)) for name, part in zip(names, parts, strict=False)}
 
 
 def errors_of(
@@ -39,20 +98,15 @@ def errors_of(
         functions; ``span``, that of the k modes after smoothing; ``value``, the relative error of
         their eigenvalues, the constant's left out. And ``steps``, which the solver took: it goes on
         until it is as good as asked for, so these tell more of a network than the errors, or its
-        errors after ``smoothing=1``.
-
-    Raises
-    ------
-    InvalidInputError
-        If the samples have no operators, `most` is less than 1, or the solver has no subspace.
+        errors after ``max_steps=1``.
 
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
     >>> from spectra_kit import Neo
-    >>> from spectra_kit.neo.train.corpus import CorpusConfig, generate
+    >>> from spectra_kit.neo.train.corpus import generate, open_shards
     >>> from spectra_kit.neo.train.evaluation import errors_of
-    >>> from spectra_kit.neo.train.shards import open_shards
+    >>> from spectra_kit.neo.train.samples import CorpusConfig
     >>> with TemporaryDirectory() as folder:
     ...     made = generate(folder, 1, config=CorpusConfig(seed=0, n_points=600, k=8))
     ...     errors = errors_of(Neo(), open_shards(folder))
@@ -75,12 +129,11 @@ def errors_of(
 
 def _errors(solver: Neo | Cascade, corpus: Corpus, i: int) -> tuple[float, float, float, float]:
     batch = corpus.batch([i])
-    assert batch.operators is not None
     real = np.flatnonzero(batch.mass[0])  # the rest is padding
     mass, points = batch.mass[0, real].astype(np.float64), batch.points[0, real]
-    exact, values = batch.eigenvectors[0, real].astype(np.float64), batch.operators.eigenvalues[0]
+    exact, values = batch.eigenvectors[0, real].astype(np.float64), batch.arrays()["eigenvalues"][0]
     exact /= np.sqrt(mass @ exact**2)  # which float16 has rounded
-    laplacian = Laplacian(batch.operators.stiffness(0)[real][:, real], mass, points)
+    laplacian = Laplacian(batch.stiffness(0)[real][:, real], mass, points)
     with warnings.catch_warnings():  # how wrong it is, is what is measured here
         warnings.simplefilter("ignore", DoubtfulSpectrumWarning)
         found = eigensolve(laplacian, len(values), solver)
@@ -108,3 +161,9 @@ def kinds(labels: Mapping[str, NDArray[np.int64]]) -> NDArray[np.str_]:
     return np.array(
         [f"{form} of a {names[i]}" for form, i in zip(forms, labels["family"], strict=True)]
     )
+
+
+def autocast(device: str, precision: str) -> torch.autocast:
+    """Return the context in which a network computes in a precision."""
+    dtype = _DTYPES[precision]
+    return torch.autocast(device, dtype=dtype, enabled=dtype is not None)

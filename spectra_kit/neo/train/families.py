@@ -214,11 +214,6 @@ def make_mesh(family: str, seed: int | tuple[int, ...]) -> TriangleMesh:
     TriangleMesh
         Of order one in size, in some pose; a few thousand to some ten thousand vertices.
 
-    Raises
-    ------
-    InvalidInputError
-        If the family is unknown, or this seed leads to an empty surface (rare; take the next).
-
     Examples
     --------
     >>> import numpy as np

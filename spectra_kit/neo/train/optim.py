@@ -111,11 +111,6 @@ def make_optimizers(
 
     Matrices with both sizes above 32 go to `Muon`; biases, norms and latent queries to AdamW with
     betas (0.9, 0.99). See `Muon` for `apply`.
-
-    Raises
-    ------
-    InvalidInputError
-        If no matrix of the network is that large.
     """
     parameters = list(network.parameters())
     matrices = [p for p in parameters if p.ndim == 2 and min(p.shape) > 32]
@@ -150,11 +145,5 @@ def warmup_stable_decay(progress: float, *, warmup: float = 0.1, decay: float = 
 
     Linear rise over the first `warmup`, one, then a linear fall to zero over the last `decay`,
     which are shares too. Ends of other shapes gave the same span error within 2 %.
-
-    Examples
-    --------
-    >>> from spectra_kit.neo.train.optim import warmup_stable_decay
-    >>> [warmup_stable_decay(p) for p in (0.05, 0.5, 0.9, 1.5)]
-    [0.5, 1.0, 0.5, 0.0]
     """
     return min(1.0, progress / warmup, max(0.0, 1.0 - progress) / decay)

@@ -91,11 +91,6 @@ def open_pool(path: str | os.PathLike[str], split: str) -> MeshPool:
     MeshPool
         In the order of the names.
 
-    Raises
-    ------
-    InvalidInputError
-        If there is no pool at `path`, a chunk lacks an array, or no mesh is in that split.
-
     Examples
     --------
     >>> import tempfile
@@ -161,11 +156,6 @@ def pack_pool(path: str | os.PathLike[str], target: str | os.PathLike[str], spli
     -------
     MeshPool
         What was written; `open_pool` of `target` returns an equal one.
-
-    Raises
-    ------
-    InvalidInputError
-        As `open_pool`, or if `target` does not end in ``.npz``.
     """
     if Path(target).suffix != ".npz":
         raise InvalidInputError("target", "end in .npz", repr(os.fspath(target)))

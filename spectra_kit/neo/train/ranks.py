@@ -35,14 +35,7 @@ class Ranks:
         return self.rank == 0
 
     def share(self, n: int) -> slice:
-        """Return the places of a batch of n that are this process's.
-
-        Examples
-        --------
-        >>> from spectra_kit.neo.train.ranks import Ranks
-        >>> [Ranks(rank, 3).share(8) for rank in range(3)]
-        [slice(0, 2, None), slice(2, 5, None), slice(5, 8, None)]
-        """
+        """Return the places of a batch of n that are this process's."""
         return slice(self.rank * n // self.world, (self.rank + 1) * n // self.world)
 
     def add_up(self, tensors: Sequence[Tensor]) -> None:

@@ -1,40 +1,190 @@
-"""One sample of a corpus: points of a random surface, their operator, and its exact modes.
+"""Samples of a corpus: points of random surfaces, their operators, and their exact modes.
 
 Points are drawn on the surface, as a cloud, or the vertices of a mesh. Every sample follows from
-(seed, index) alone, so any number of processes makes the same corpus.
+(seed, index) alone, so any number of processes makes the same corpus. `Samples` holds any number of
+them, as they are kept on disk and read again.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, hearing
-from spectra_kit.eigen import Arpack
 from spectra_kit.eigen.base import NotConvergedError
+from spectra_kit.eigen.lanczos import cheapest
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry.sampling import GaussianDensity, sample
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.neo.train.families import FAMILIES, check_weights, draw_family, make_mesh
-from spectra_kit.neo.train.meshes import at_resolution
 from spectra_kit.neo.train.pool import open_pool, varied
+from spectra_kit.neo.train.surfaces import at_resolution
 from spectra_kit.operators import delaunay_laplacian
+from spectra_kit.operators.laplacian import Laplacian
 
 FROM_POOL = -1  # the label `family` of samples that are real meshes
 REASONS = ("mesh", "components", "solve")  # of rejection
-_REJECTED = tuple(f"rejected_{reason}" for reason in REASONS)
-LABELS = ("family", "pool", "mesh", "index", "nonuniform", "n", *_REJECTED)
 # Of eigenvalues. Spans then agree to 1e-7 with those to rounding; float16 holds 3 digits.
-_SOLVER = Arpack(tol=1e-4)
+_TOL = 1e-4
 _PATIENCE = 4  # rejections after which a sample tries another family or mesh of the pool
 # Vertices of a mesh for each mode: those aimed at, and those that must be left of them. On fewer,
 # the modes are nearly all functions that there are, and those of a network all.
 _AIMED_AT, _LEFT = 5, 3
+
+#: What is kept of samples, and in which precision; of some corpora without the operators.
+ARRAYS: dict[str, Any] = {"points": np.float32, "mass": np.float32, "eigenvectors": np.float16}
+OPERATORS: dict[str, Any] = {
+    "eigenvalues": np.float32,
+    "starts": np.int32,
+    "columns": np.int32,
+    "entries": np.float32,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Samples as arrays, in the precisions of a corpus on disk, to which they are rounded.
+
+    A sample of fewer than n points is padded: with copies of one of its points, which have no
+    mass, are zero in all modes, and are joined to nothing. The operators, stiffness matrices L, are
+    kept by their entries above the diagonal: L is symmetric, and its rows sum to zero. They may be
+    left out, all four arrays together.
+
+    Parameters
+    ----------
+    points : ndarray of shape (s, n, 3), float32
+        Coordinates, in any unit of length.
+    mass : ndarray of shape (s, n), float32
+        Weights that sum to one; zero for padding.
+    eigenvectors : ndarray of shape (s, n, k), float16
+        Exact modes, M-orthonormal for `mass`.
+    labels : dict of str to ndarray of shape (s,), int64
+        What each sample is; see `make_sample`.
+    eigenvalues : ndarray of shape (s, k), float32, optional
+        Of ``L U = M U diag(eigenvalues)``.
+    starts : ndarray of shape (s, n + 1), int32, optional
+        Where the entries of each row of each sample begin, and where those of the last row end.
+    columns : ndarray of shape (e,), int32, optional
+        Of all entries, within their sample.
+    entries : ndarray of shape (e,), float32, optional
+        Of all samples, one after the other.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from spectra_kit.neo.train.samples import Samples
+    >>> points, mass, modes = np.zeros((2, 5, 3)), np.full((2, 5), 0.2), np.ones((2, 5, 1))
+    >>> two = Samples(points, mass, modes, {"seed": [3, 4]})
+    >>> two[1:].labels["seed"], two.has_operators
+    (array([4]), False)
+    """
+
+    points: NDArray[np.floating]
+    mass: NDArray[np.floating]
+    eigenvectors: NDArray[np.floating]
+    labels: dict[str, NDArray[np.int64]] = field(default_factory=dict)
+    eigenvalues: NDArray[np.floating] | None = None
+    starts: NDArray[np.int32] | None = None
+    columns: NDArray[np.int32] | None = None
+    entries: NDArray[np.floating] | None = None
+
+    def __post_init__(self) -> None:
+        for name, dtype in (ARRAYS | OPERATORS).items():
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, np.asarray(getattr(self, name), dtype))
+        labels = {name: np.asarray(label, np.int64) for name, label in self.labels.items()}
+        object.__setattr__(self, "labels", labels)
+        points, mass, modes = (getattr(self, name).shape for name in ARRAYS)
+        if not len(self.mass) or points != (*mass, 3) or len(modes) != 3 or modes[:2] != mass:
+            raise InvalidInputError(
+                "`points`, `mass` and `eigenvectors` must have shapes (s, n, 3), (s, n) and"
+                f" (s, n, k) with s >= 1, got {points}, {mass} and {modes}"
+            )
+        for name, label in labels.items():
+            if label.shape != mass[:1]:
+                raise InvalidInputError(
+                    f"label `{name}` must have one integer for each of {mass[0]} samples,"
+                    f" got {label.shape}"
+                )
+        there = [getattr(self, name) for name in OPERATORS]
+        if all(array is None for array in there):
+            return
+        found = [None if array is None else array.shape for array in there]
+        last = 0 if self.starts is None or not self.starts.size else int(self.starts.flat[-1])
+        wanted = [(mass[0], modes[2]), (mass[0], mass[1] + 1), (last,), (last,)]
+        if found != wanted:
+            raise InvalidInputError(
+                "`eigenvalues`, `starts`, `columns` and `entries` must have shapes"
+                f" {', '.join(map(str, wanted))}, got {', '.join(map(str, found))}"
+            )
+
+    def __len__(self) -> int:
+        return len(self.mass)
+
+    @property
+    def has_operators(self) -> bool:
+        """Whether they come with their operators."""
+        return self.starts is not None
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return what there is of them, by name."""
+        names = ARRAYS | OPERATORS if self.has_operators else ARRAYS
+        return {name: getattr(self, name) for name in names}
+
+    def without_operators(self) -> Samples:
+        """Return the same samples without them."""
+        return Samples(self.points, self.mass, self.eigenvectors, self.labels)
+
+    def __getitem__(self, part: slice) -> Samples:
+        """Return neighbouring samples, as views."""
+        given = self.arrays()
+        cut = {name: given[name][part] for name in (*ARRAYS, "eigenvalues") if name in given}
+        if self.has_operators:
+            starts = given["starts"][part]
+            ends = slice(int(starts[0, 0]), int(starts[-1, -1]))
+            cut |= {name: given[name][ends] for name in ("columns", "entries")}
+            cut["starts"] = starts - np.int32(ends.start)
+        return Samples(**cut, labels={name: label[part] for name, label in self.labels.items()})
+
+    @classmethod
+    def joined(cls, parts: Sequence[Samples]) -> Samples:
+        """Return all samples of several: with operators and labels that every one of them has."""
+        given = [part.arrays() for part in parts]
+        if not all(part.has_operators for part in parts):
+            given = [{name: arrays[name] for name in ARRAYS} for arrays in given]
+        else:
+            first = np.cumsum([0, *(len(arrays["entries"]) for arrays in given)])
+            for arrays, start in zip(given, first.tolist(), strict=False):
+                arrays["starts"] = arrays["starts"] + np.int32(start)
+        common = set.intersection(*(set(part.labels) for part in parts))
+        return cls(
+            **{name: np.concatenate([arrays[name] for arrays in given]) for name in given[0]},
+            labels={
+                name: np.concatenate([part.labels[name] for part in parts])
+                for name in sorted(common)
+            },
+        )
+
+    def stiffness(self, i: int) -> sparse.csr_array:
+        """Return L of sample i, shape (n, n), float64."""
+        one, n = self[i : i + 1], self.mass.shape[1]
+        assert one.starts is not None
+        assert one.entries is not None
+        data = one.entries.astype(np.float64)
+        upper = sparse.csr_array((data, one.columns, one.starts[0]), shape=(n, n))
+        off = upper + upper.T
+        return sparse.csr_array(off - sparse.diags_array(off.sum(axis=1)))
+
+    def label(self, i: int) -> dict[str, int]:
+        """Return what sample i is."""
+        return {name: int(label[i]) for name, label in self.labels.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,13 +214,6 @@ class CorpusConfig:
         The others are clouds.
     weights : dict of str to float
         Weights of `FAMILIES` that are to be others.
-
-    Raises
-    ------
-    InvalidInputError
-        If a count is too small, a fraction is not in [0, 1], there are not clearly more points
-        than modes, a share of a pool is asked for without the pool, or a weight is negative or of
-        no family.
 
     Examples
     --------
@@ -122,35 +265,7 @@ class CorpusConfig:
         return {"format": 7, **values, "families": weights if self.pool_share < 1 else {}}
 
 
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """One cloud or mesh with its operator and exact modes.
-
-    Parameters
-    ----------
-    points : ndarray of shape (n, 3)
-        Centred, in the unit box.
-    mass : ndarray of shape (n,)
-        Sums to one.
-    eigenvectors : ndarray of shape (n, k)
-        M-orthonormal for `mass`, by ascending eigenvalue.
-    eigenvalues : ndarray of shape (k,)
-        Of a surface of area one.
-    stiffness : sparse array of shape (n, n)
-        L, of which ``L U = M U diag(eigenvalues)``.
-    labels : dict of str to int
-        What the sample is; see `make_sample`.
-    """
-
-    points: NDArray[np.floating]
-    mass: NDArray[np.floating]
-    eigenvectors: NDArray[np.floating]
-    eigenvalues: NDArray[np.floating]
-    stiffness: sparse.csr_array
-    labels: dict[str, int]
-
-
-def make_sample(config: CorpusConfig, index: int) -> Sample:
+def make_sample(config: CorpusConfig, index: int) -> Samples:
     """Make sample number `index` of a corpus.
 
     Parameters
@@ -162,26 +277,37 @@ def make_sample(config: CorpusConfig, index: int) -> Sample:
 
     Returns
     -------
-    Sample
-        Points centred in the unit box. Labels: ``family`` (place in `FAMILIES`, or `FROM_POOL`),
-        ``pool`` (number of the mesh in the pool, or -1), ``mesh`` (0 for a cloud, 1 for a mesh),
-        ``index``, ``nonuniform`` (0 or 1), ``n`` points, and how often each reason of rejection
-        came up before.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from spectra_kit.neo.train.samples import CorpusConfig, make_sample
-    >>> cloud = make_sample(CorpusConfig(seed=0, n_points=256, k=8), 3)
-    >>> gram = cloud.eigenvectors.T @ (cloud.mass[:, None] * cloud.eigenvectors)
-    >>> bool(np.allclose(gram, np.eye(8), atol=1e-9))
-    True
+    Samples
+        This one; points centred in the unit box, eigenvalues of a surface of area one. Labels:
+        ``family`` (place in `FAMILIES`, or `FROM_POOL`), ``pool`` (number of the mesh in the pool,
+        or -1), ``mesh`` (0 for a cloud, 1 for a mesh), ``index``, ``nonuniform`` (0 or 1), ``n``
+        points, and how often each reason of rejection came up before.
     """
+    laplacian, values, modes, labels = exact_sample(config, index)
+    rest = config.n_points - laplacian.n
+    upper = sparse.csr_array(sparse.triu(laplacian.stiffness, 1))
+    return Samples(
+        np.pad(laplacian.points, ((0, rest), (0, 0)), mode="edge")[None],
+        np.pad(laplacian.mass, (0, rest))[None],
+        np.pad(modes, ((0, rest), (0, 0)))[None],
+        {name: np.array([label]) for name, label in labels.items()},
+        values[None],
+        np.pad(upper.indptr, (0, rest), mode="edge")[None],
+        upper.indices,
+        upper.data,
+    )
+
+
+def exact_sample(
+    config: CorpusConfig, index: int
+) -> tuple[Laplacian, Floats, Floats, dict[str, int]]:
+    """Make a sample in double precision: operator of area one, eigenvalues, modes and labels."""
     rejected = {f"rejected_{reason}": 0 for reason in REASONS}
     while True:
         made = _attempted(config, index, sum(rejected.values()))
-        if isinstance(made, Sample):
-            return replace(made, labels=made.labels | rejected)
+        if not isinstance(made, str):
+            laplacian, values, modes, labels = made
+            return laplacian, values, modes, labels | rejected
         rejected[f"rejected_{made}"] += 1
 
 
@@ -189,14 +315,6 @@ def sample_mesh(config: CorpusConfig, labels: Mapping[str, int]) -> TriangleMesh
     """Make the surface again that a sample with these labels lies on, in its own pose and unit.
 
     Of a mesh it is the mesh itself.
-
-    Examples
-    --------
-    >>> from spectra_kit.neo.train.samples import CorpusConfig, make_sample, sample_mesh
-    >>> config = CorpusConfig(seed=0, n_points=256, k=8)
-    >>> mesh = sample_mesh(config, make_sample(config, 3).labels)
-    >>> bool(mesh.area > 0)
-    True
     """
     attempt = sum(labels[f"rejected_{reason}"] for reason in REASONS)
     return make_surface(config, labels, labels["index"], attempt)
@@ -235,7 +353,9 @@ def make_surface(
     return at_resolution(mesh, rng, fewest=fewest, most=config.n_points)
 
 
-def _attempted(config: CorpusConfig, index: int, attempt: int) -> Sample | str:
+def _attempted(
+    config: CorpusConfig, index: int, attempt: int
+) -> tuple[Laplacian, Floats, Floats, dict[str, int]] | str:
     """Make a sample, or tell the reason why it is rejected."""
     source = draw_source(config, index, attempt)
     rng = np.random.default_rng((config.seed, index, attempt, 1))
@@ -263,15 +383,13 @@ def _attempted(config: CorpusConfig, index: int, attempt: int) -> Sample | str:
         if laplacian.n_components > 1:
             return "components"
         # Not by `eigensolve`: certificate and count of modes would be a third of the work.
-        pairs = _SOLVER.eigenpairs(laplacian, config.k)
+        pairs = cheapest(laplacian.n, config.k, tol=_TOL).eigenpairs(laplacian, config.k)
     except (InvalidInputError, ConvergenceError, NotConvergedError):
         return "solve"
     area, order = laplacian.area, np.argsort(pairs.eigenvalues)
-    return Sample(
-        points,
-        laplacian.mass / area,
-        pairs.eigenvectors[:, order] * np.sqrt(area),
+    return (
+        Laplacian(laplacian.stiffness, laplacian.mass / area, points),
         np.maximum(pairs.eigenvalues[order], 0.0) * area,
-        laplacian.stiffness,
+        pairs.eigenvectors[:, order] * np.sqrt(area),
         {**source, "index": index, "nonuniform": int(nonuniform), "n": len(points)},
     )

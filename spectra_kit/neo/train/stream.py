@@ -15,24 +15,27 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import count as count_from
 from itertools import islice
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._core.validate import check_count
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.neo.train.config import TrainConfig
 from spectra_kit.neo.train.corpus import (
-    CorpusReport,
-    as_batch,
+    Corpus,
+    Reader,
     claim,
-    count,
+    open_shards,
     produced,
-    write_samples,
+    shard_number,
+    shuffled,
+    write_shard,
 )
-from spectra_kit.neo.train.samples import LABELS, CorpusConfig, Sample
-from spectra_kit.neo.train.shards import Batch, Corpus, Operators, open_shards
+from spectra_kit.neo.train.samples import CorpusConfig, Samples
 
+_BEGIN = 4  # batches of samples that a run on a stream begins with
 _LOOK = 0.1  # seconds between looks of a reader that waits
 _SPARE = 4  # shards before the last window that are kept: a run may go on from some steps before
 
@@ -40,9 +43,9 @@ _SPARE = 4  # shards before the last window that are kept: a run may go on from 
 class SampleStream:
     """An endless corpus: sample `start`, `start` + 1, ... of a configuration, the newest at hand.
 
-    Sample number i is the one that `make_sample` makes, in the precisions of the shards. The
-    buffer grows to `capacity`; then the oldest samples make room. Reading waits for nothing. With
-    `ahead`, samples are made as they are asked for, by `window`, which waits for them.
+    Sample number i is the one that `make_sample` makes. The buffer grows to `capacity`; then the
+    oldest samples make room. Reading waits for nothing. With `ahead`, samples are made as they are
+    asked for, by `window`, which waits for them.
 
     Parameters
     ----------
@@ -62,15 +65,6 @@ class SampleStream:
         those that are not needed from `start` on, or come behind a gap.
     ahead : int, optional
         Make at most about so many samples beyond the last `window`.
-
-    Raises
-    ------
-    InvalidInputError
-        If a count is too small; (on entering) if the folder holds another corpus, or other
-        samples than those from `start` on, or half a shard, or, of a bounded stream, shards that
-        none has made.
-    WorkerError
-        (from every method but ``close``) If a process that makes samples has died.
 
     Notes
     -----
@@ -114,22 +108,8 @@ class SampleStream:
         self._first = self._asked = start  # of the last window, and where it ends
         self._config, self._bounded = config, bounded
         self._folder = None if folder is None else Path(folder)
-        # The first one is none, and tells of what size the others are.
-        n, k = config.n_points, config.k
-        self._none = Batch(
-            np.empty((0, n, 3), np.float32),
-            np.empty((0, n), np.float32),
-            np.empty((0, n, k), np.float16),
-            Operators(
-                np.empty((0, k), np.float32),
-                np.empty((0, n + 1), np.int32),
-                np.empty(0, np.int32),
-                np.empty(0, np.float32),
-            ),
-        )
-        self._samples: deque[Batch] = deque(maxlen=None if ahead is not None else capacity)
-        self._labels: list[tuple[int, ...]] = []  # of all so far
-        self._unsaved: list[Sample] = []
+        self._samples: deque[Samples] = deque(maxlen=None if ahead is not None else capacity)
+        self._unsaved: list[Samples] = []
         self._lock, self._stop = threading.Lock(), threading.Event()
         self._thread: ThreadPoolExecutor | None = None
         self._collecting: Future[None] | None = None
@@ -155,22 +135,65 @@ class SampleStream:
             self._thread.shutdown()
 
     @property
-    def config(self) -> CorpusConfig:
-        """What its samples are made of."""
-        return self._config
-
-    @property
     def capacity(self) -> int:
         """The number of samples that it holds at most."""
         return self._capacity
 
-    def corpus(self) -> Corpus:
-        """Return what is there now, possibly nothing: samples that stay as they are."""
+    @property
+    def n_points(self) -> int:
+        """Points per sample."""
+        return self._config.n_points
+
+    @property
+    def k(self) -> int:
+        """Modes per sample."""
+        return self._config.k
+
+    @property
+    def fewest(self) -> int:
+        """Points of the smallest sample that may come."""
+        return self._config.fewest
+
+    @property
+    def has_operators(self) -> bool:
+        """Whether all samples come with their operators."""
+        return True
+
+    @property
+    def made(self) -> int:
+        """Samples so far, those that made room included."""
+        return self._next - self._start
+
+    def identity(self, config: TrainConfig) -> dict[str, Any] | None:
+        """Return what batches follow from, where it is said how often samples are shown."""
+        if not config.shown:
+            return None
+        return {"capacity": self.capacity, "corpus": self._config.fingerprint()}
+
+    def draw(self, config: TrainConfig, step: int) -> tuple[NDArray[np.int64], Reader]:
+        """Return what a step shows, see `Source`; wait for it where a sample is shown so often."""
+        if config.shown:
+            first, stop = window(config, step, self.capacity)
+            numbers = drawn(config, step, self.capacity)
+            there = self.window(first, stop)
+            return numbers, lambda places: there.batch(numbers[places] - first)
         self._check()
         with self._lock:
-            samples = tuple(self._samples)
-            labels = self._labels[len(self._labels) - len(samples) :]
-        return Corpus((self._none, *samples), _columns(labels))
+            n, stop = len(self._samples), self._next
+            if not n:
+                raise InvalidInputError(
+                    "corpus", "have a sample to begin with", "none", advice="wait with `ready`"
+                )
+            chosen = shuffled(n, config, step)
+            samples = [self._samples[i] for i in chosen]
+        numbers = stop - n + chosen
+        return numbers, lambda places: Samples.joined([samples[i] for i in places])
+
+    def corpus(self) -> Corpus:
+        """Return what is there now, one sample at least: samples that stay as they are."""
+        self._check()
+        with self._lock:
+            return Corpus(tuple(self._samples))
 
     def window(self, first: int, stop: int) -> Corpus:
         """Wait for the samples from number `first` to `stop`, and return them, in this order.
@@ -190,12 +213,9 @@ class SampleStream:
                 raise InvalidInputError("stop", "be a sample that the closed stream holds", stop)
             self._stop.wait(_LOOK)
         with self._lock:
-            count = stop - first
             while self._next - len(self._samples) < first:
                 self._samples.popleft()
-            samples = tuple(islice(self._samples, count))
-            labels = self._labels[len(self._labels) - len(self._samples) :][:count]
-        return Corpus((self._none, *samples), _columns(labels))
+            return Corpus(tuple(islice(self._samples, stop - first)))
 
     def ready(self, n: int, timeout: float) -> bool:
         """Wait until `n` samples have come in, at most `timeout` seconds; say whether they have."""
@@ -211,13 +231,6 @@ class SampleStream:
     def __len__(self) -> int:
         """Return the number of samples at hand."""
         return len(self._samples)
-
-    def report(self) -> CorpusReport:
-        """Count all samples so far, those that made room included, and what was turned down."""
-        self._check()
-        with self._lock:
-            labels = list(self._labels)
-        return count(_columns(labels))
 
     def _check(self) -> None:
         """Raise here what ended the thread that collects."""
@@ -253,7 +266,6 @@ class SampleStream:
         for shard in there.shards:
             for i in range(size):
                 self._samples.append(shard[i : i + 1])
-        self._labels = list(zip(*(there.labels[name].tolist() for name in LABELS), strict=True))
         self._next += len(there)
 
     def _collect(self) -> None:
@@ -266,22 +278,39 @@ class SampleStream:
                     if self._stop.wait(_LOOK):
                         return
 
-    def _take(self, sample: Sample) -> None:
+    def _take(self, sample: Samples) -> None:
         with self._lock:
-            self._samples.append(as_batch([sample], self._config.n_points))
-            self._labels.append(tuple(sample.labels[name] for name in LABELS))
+            self._samples.append(sample)
             self._next += 1
         size = self._config.shard_size
-        if self._folder is not None:
-            self._unsaved.append(sample)
-            if len(self._unsaved) == size:
-                index = sample.labels["index"] // size
-                write_samples(self._folder, index, self._unsaved, self._config.n_points)
-                self._unsaved = []
-                if self._bounded and self._ahead is None:
-                    _thin(self._folder, index - max(1, self._capacity // size))
-                elif self._bounded:
-                    _thin(self._folder, self._first // size - _SPARE)
+        if self._folder is None:
+            return
+        self._unsaved.append(sample)
+        if len(self._unsaved) < size:
+            return
+        index = sample.label(0)["index"] // size
+        write_shard(self._folder, index, Samples.joined(self._unsaved))
+        self._unsaved = []
+        if self._bounded:
+            last = self._first // size - _SPARE
+            last = index - max(1, self._capacity // size) if self._ahead is None else last
+            _remove(self._folder, (number for number in _numbers(self._folder) if number <= last))
+
+
+def window(config: TrainConfig, step: int, capacity: int) -> tuple[int, int]:
+    """Return of which samples of a stream a step shows some: from one number up to another.
+
+    At most `capacity`; with every step, as many leave as each is shown ``config.shown`` times.
+    """
+    stop = min(capacity, _BEGIN * config.batch) + step * config.batch // config.shown
+    return max(0, stop - capacity), stop
+
+
+def drawn(config: TrainConfig, step: int, capacity: int) -> NDArray[np.int64]:
+    """Return the numbers of the samples of a stream that a step shows, shape (batch,)."""
+    first, stop = window(config, step, capacity)
+    rng = np.random.default_rng((config.seed, 0, step))
+    return first + rng.choice(stop - first, config.batch, replace=stop - first < config.batch)
 
 
 def _mark(folder: Path) -> None:
@@ -297,22 +326,12 @@ def _mark(folder: Path) -> None:
     mark.touch()
 
 
-def _thin(folder: Path, last: int) -> None:
-    """Remove the shards of a folder up to number `last`; open maps of them stay readable."""
-    _remove(folder, (number for number in _numbers(folder) if number <= last))
-
-
 def _numbers(folder: Path) -> list[int]:
-    return [int(path.name.removeprefix("shard_")) for path in folder.glob("shard_*")]
+    return [shard_number(path) for path in folder.glob("shard_*")]
 
 
 def _remove(folder: Path, numbers: Iterable[int]) -> None:
-    for number in numbers:
+    for number in numbers:  # open maps of them stay readable
         path = folder / f"shard_{number:04d}"
         gone = path.rename(folder / f".gone_{path.name}")  # never half a shard by its name
         shutil.rmtree(gone)
-
-
-def _columns(labels: list[tuple[int, ...]]) -> dict[str, NDArray[np.int64]]:
-    columns = np.array(labels, dtype=np.int64).reshape(-1, len(LABELS)).T
-    return dict(zip(LABELS, columns, strict=True))

@@ -10,20 +10,13 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from spectra_kit._core.types import Floats
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.components import largest_component
 from spectra_kit.geometry.shapes import TriangleMesh
 
 
 def grid_mesh(points: Floats, *, wrap_v: bool = False) -> TriangleMesh:
-    """Triangulate a grid of points (nu, nv, 3), closed in its second direction on demand.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from spectra_kit.neo.train.surfaces import grid_mesh
-    >>> u, v = np.meshgrid(np.arange(3.0), np.arange(4.0), indexing="ij")
-    >>> grid_mesh(np.stack([u, v, 0 * u], axis=-1)).area
-    6.0
-    """
+    """Triangulate a grid of points (nu, nv, 3), closed in its second direction on demand."""
     nu, nv = points.shape[:2]
     index = np.arange(nu * nv).reshape(nu, nv)
     index = np.concatenate([index, index[:, :1]], axis=1) if wrap_v else index
@@ -52,13 +45,6 @@ def superquadric(
     """Closed superellipsoid: exponents (1, 1) an ellipsoid, towards 0 a box, (0, 1) a cylinder.
 
     Barr, *Superquadrics and angle-preserving transformations*, IEEE CG&A 1(1), 1981.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from spectra_kit.neo.train.surfaces import superquadric
-    >>> float(superquadric((1.0, 1.0), [1, 1, 1]).area / (4 * np.pi)).__round__(2)
-    1.0
     """
     u = np.linspace(-np.pi / 2, np.pi / 2, n_u)[:, None]
     v = np.arange(n_v) * (2 * np.pi / n_v)
@@ -75,15 +61,7 @@ def superquadric(
 
 
 def revolve(profile: Floats) -> TriangleMesh:
-    """Turn a profile of (radius, height) rows (p, 2) around the z axis.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from spectra_kit.neo.train.surfaces import revolve
-    >>> revolve(np.array([[1.0, 0.0], [1.0, 1.0]])).area / np.pi
-    2.00
-    """
+    """Turn a profile of (radius, height) rows (p, 2) around the z axis."""
     v = np.arange(64) * (2 * np.pi / 64)
     r, z = profile[:, :1], profile[:, 1:]
     points = np.stack(np.broadcast_arrays(r * np.cos(v), r * np.sin(v), z), axis=-1)
@@ -176,15 +154,7 @@ def warped(points: Floats, rng: np.random.Generator, likely: float) -> Floats:
 
 
 def quartered(mesh: TriangleMesh) -> TriangleMesh:
-    """Cut each face into four alike at the middles of its edges, however many faces share these.
-
-    Examples
-    --------
-    >>> from spectra_kit.geometry import sphere
-    >>> from spectra_kit.neo.train.surfaces import quartered
-    >>> quartered(sphere(subdivisions=0).geometry).n  # 12 corners and 30 edges
-    42
-    """
+    """Cut each face into four alike at the middles of its edges, however many faces share these."""
     sides = np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     ends, which = np.unique(sides, axis=0, return_inverse=True)
     ab, bc, ca = mesh.n + which.reshape(-1, 3).T
@@ -221,3 +191,61 @@ def raised(mesh: TriangleMesh, height: Floats | float) -> TriangleMesh:
     area = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_AREA
     normals = igl.per_vertex_normals(mesh.points, mesh.faces, area)
     return mesh.with_points(mesh.points + np.reshape(height, (-1, 1)) * np.nan_to_num(normals))
+
+
+# At their own vertices: one connected part, at a resolution drawn from coarse to fine
+
+
+def at_resolution(
+    mesh: TriangleMesh, rng: np.random.Generator, *, fewest: int, most: int
+) -> TriangleMesh:
+    """Return the largest part of a mesh, with `fewest` to `most` vertices, or somewhat fewer.
+
+    Vertices and triangles stay as uneven as they are where their number fits. Of finer meshes, the
+    vertices in the cells of a grid are joined, down to a number drawn at random, of all scales
+    alike. Coarser ones are subdivided: each triangle into four alike, or the longest edges first.
+    """
+    wanted = round(float(np.exp(rng.uniform(np.log(fewest), np.log(most)))))
+    evenly = rng.random() < 0.5
+    part = connected(mesh)
+    if part.n < fewest:
+        part = _subdivided(part, fewest, evenly)
+    return part if part.n <= most else _clustered(part, wanted)
+
+
+def connected(mesh: TriangleMesh) -> TriangleMesh:
+    """Return the largest part of a mesh without doubled vertices and faces, or faces of no area."""
+    merged = mesh.with_merged_vertices()
+    proper = (merged.faces != np.roll(merged.faces, 1, axis=1)).all(axis=1)
+    if not proper.any():
+        raise InvalidInputError("mesh", "have a face of three vertices", "none")
+    sound = TriangleMesh(merged.points, merged.faces[proper]).without_degenerate_faces()
+    return largest_component(sound.without_duplicate_faces()).mesh
+
+
+def _subdivided(mesh: TriangleMesh, fewest: int, evenly: bool) -> TriangleMesh:
+    longest = float(np.linalg.norm(np.ptp(mesh.points, axis=0)))
+    while mesh.n < fewest:
+        if evenly:
+            mesh = quartered(mesh)
+        else:
+            longest *= 0.8
+            mesh = bisected(mesh, longest).with_merged_vertices()
+    return mesh
+
+
+def _clustered(mesh: TriangleMesh, wanted: int) -> TriangleMesh:
+    """Join the vertices in each cell of a grid that leaves `wanted` at most.
+
+    Any mesh can be so decimated; libigl's edge collapses never end on some.
+    """
+    size = 0.5 * float(np.sqrt(mesh.area / wanted))
+    while True:
+        cells = np.floor(mesh.points / size).astype(np.int64)
+        which = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+        counts = np.bincount(which)
+        if len(counts) <= wanted:
+            break
+        size *= 1.05
+    sums = np.column_stack([np.bincount(which, axis) for axis in mesh.points.T])
+    return connected(TriangleMesh(sums / counts[:, None], which[mesh.faces]))

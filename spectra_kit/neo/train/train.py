@@ -24,15 +24,13 @@ from spectra_kit.neo.backbones import build_network
 from spectra_kit.neo.loss import mode_residuals, ortho_loss, smoothed_residuals
 from spectra_kit.neo.model import NeoNetwork
 from spectra_kit.neo.train import checkpoint
-from spectra_kit.neo.train.batches import Samples, for_validation, posed, share_count
+from spectra_kit.neo.train.checkpoint import Log, Row
 from spectra_kit.neo.train.config import TrainConfig
-from spectra_kit.neo.train.evaluation import typical
-from spectra_kit.neo.train.feed import Feed
-from spectra_kit.neo.train.log import Log, Row
+from spectra_kit.neo.train.corpus import Corpus, Source
+from spectra_kit.neo.train.evaluation import autocast, validate
+from spectra_kit.neo.train.loader import Batch, Loader, share_count
 from spectra_kit.neo.train.optim import average_weights, make_optimizers, warmup_stable_decay
 from spectra_kit.neo.train.ranks import Ranks
-from spectra_kit.neo.train.shards import Corpus
-from spectra_kit.neo.train.stream import SampleStream
 
 # What may change on resuming.
 _FREE = {"steps", "minutes", "warmup", "decay", "batch", "every", "log", "save", "validation"}
@@ -40,7 +38,6 @@ _FREE |= {"workers", "compile"}
 _HOUR = 3600.0
 _LEAST = 1e-6  # added to an error before its logarithm is taken: rounding, in float32
 Gradients = tuple[Tensor, ...]
-_DTYPES = {"float32": None, "bfloat16": torch.bfloat16, "float16": torch.float16}
 
 
 @dataclass
@@ -75,7 +72,7 @@ class TrainResult:
 
 
 def train(
-    corpus: Corpus | SampleStream,
+    corpus: Source,
     validation: Corpus,
     config: TrainConfig,
     *,
@@ -113,9 +110,8 @@ def train(
         Folder for ``checkpoint.pt`` and ``log.csv``; nothing is written without it.
     resume : bool, default False
         Continue from the checkpoint in `out`, which is not overwritten otherwise. The corpus may
-        have grown since, and ``steps``,
-        ``minutes``, ``warmup``, ``decay``, ``batch``, ``every``, ``log``, ``save``,
-        ``validation``, ``workers`` and ``compile`` may differ.
+        have grown since, and ``steps``, ``minutes``, ``warmup``, ``decay``, ``batch``, ``every``,
+        ``log``, ``save``, ``validation``, ``workers`` and ``compile`` may differ.
     initial : NeoNetwork, optional
         Weights to begin with, instead of random ones.
     device : str, default "cpu"
@@ -140,25 +136,13 @@ def train(
     -------
     TrainResult
 
-    Raises
-    ------
-    InvalidInputError
-        If the corpus does not fit the configuration or is empty, has meshes of no more vertices
-        than the network has functions, there is no checkpoint of this configuration, or of this
-        stream, to resume, or one that would be overwritten, or `last` comes without `pause_after`
-        and ``minutes``.
-    ConvergenceError
-        If the loss is not finite. In float16 single such steps are skipped.
-    MissingDependencyError
-        If event files are asked for and the package tensorboard is not installed.
-
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
     >>> from spectra_kit.neo import NeoConfig
     >>> from spectra_kit.neo.train.config import TrainConfig
-    >>> from spectra_kit.neo.train.corpus import CorpusConfig, generate
-    >>> from spectra_kit.neo.train.shards import open_shards
+    >>> from spectra_kit.neo.train.corpus import generate, open_shards
+    >>> from spectra_kit.neo.train.samples import CorpusConfig
     >>> from spectra_kit.neo.train.train import train
     >>> tiny = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=4)
     >>> with TemporaryDirectory() as folder:
@@ -172,7 +156,7 @@ def train(
     """
     called = time.perf_counter()
     ranks = Ranks.here()
-    _check_corpora(corpus, validation, config)
+    _check_sources(corpus, validation, config)
     if last and (pause_after is None or config.minutes is None):
         raise InvalidInputError(
             "last", "come with `minutes` and `pause_after`", f"{config.minutes} and {pause_after}"
@@ -180,7 +164,7 @@ def train(
     if config.batch < ranks.world:
         raise InvalidInputError("batch", f"be {ranks.world} or more, one a process", config.batch)
     torch.manual_seed(config.seed)
-    run = _Run(config, torch.device(device), ranks, initial, _source(corpus, config))
+    run = _Run(config, torch.device(device), ranks, initial, corpus.identity(config))
     folder = None if out is None else Path(out)
     if resume:
         run.load(_resumed(folder, config, run.source))
@@ -206,7 +190,7 @@ def train(
             run.compile(validation.n_points)
         if wait is not None:
             wait()
-        feed = enter(Feed(corpus, config, run.device, share=ranks.share(config.batch)))
+        batch_of = enter(Loader(corpus, config, run.device, share=ranks.share(config.batch)))
         interrupted = enter(_until_interrupt())
         if last and pause_after is not None:
             left = max(1.0, called + pause_after - time.perf_counter())
@@ -225,7 +209,7 @@ def train(
             if state.step >= limit or progress >= 1 or stop:
                 break
             lr = config.lr * warmup_stable_decay(progress, warmup=config.warmup, decay=config.decay)
-            losses.append(run.step(feed(state.step), lr))
+            losses.append(run.step(batch_of(state.step), lr))
             state.step += 1
             state.samples += config.batch
             state.seconds = time.perf_counter() - start
@@ -295,7 +279,7 @@ class _Run:
         self.scaler = torch.amp.GradScaler(device.type, enabled=config.precision == "float16")
         self.state = TrainState()
 
-    def step(self, batch: Samples, lr: float) -> Tensor:
+    def step(self, batch: Batch, lr: float) -> Tensor:
         """Make one step of the optimisers; return its loss, on the device, as it was counted."""
         config, parameters = self.config, self.parameters
         losses, gradients = self.gradients(batch)
@@ -324,7 +308,7 @@ class _Run:
         def noise(*shape: int) -> Tensor:
             return torch.rand(size, n, *shape, device=self.device)
 
-        self.gradients(Samples(2 * noise(3) - 1, noise() / n, noise(network.k)))
+        self.gradients(Batch(2 * noise(3) - 1, noise() / n, noise(network.k)))
 
     def read(self, losses: list[Tensor]) -> None:
         """Note losses as numbers, and empty the list."""
@@ -340,17 +324,17 @@ class _Run:
                 f" {self.config.lr:g}, or in another `precision` than {self.config.precision}",
             )
 
-    def gradients(self, batch: Samples) -> tuple[tuple[Tensor, ...], tuple[Gradients, ...]]:
+    def gradients(self, batch: Batch) -> tuple[tuple[Tensor, ...], tuple[Gradients, ...]]:
         """Return the losses of the shares of a batch, and their gradients."""
         count = share_count(len(batch.points), self.config.workers, self.device)
         shares = batch.parts(count)
         losses, gradients = zip(*self.threads.map(self._work, shares), strict=True)
         return losses, gradients
 
-    def _work(self, samples: Samples) -> tuple[Tensor, Gradients]:
+    def _work(self, part: Batch) -> tuple[Tensor, Gradients]:
         """Return the loss of a share of the batch, and its gradients."""
-        points, mass, U, smoothers = samples
-        with _autocast(self.device.type, self.config.precision):
+        points, mass, U, smoothers = part
+        with autocast(self.device.type, self.config.precision):
             F = self.forward(points, mass)
         config, share = self.config, len(points) / self.config.batch
         if smoothers:
@@ -385,59 +369,6 @@ class _Run:
             optimizer.load_state_dict(saved)
         self.scaler.load_state_dict(content["scaler"])
         self.state = TrainState(**content["state"])
-
-
-@torch.no_grad()
-def validate(
-    network: NeoNetwork,
-    corpus: Corpus,
-    config: TrainConfig,
-    *,
-    threads: ThreadPoolExecutor | None = None,
-) -> Row:
-    """Return the span errors of a network on the first samples of a corpus.
-
-    Parameters
-    ----------
-    network : NeoNetwork
-        In evaluation mode.
-    corpus : Corpus
-        Of samples that it was not trained on.
-    config : TrainConfig
-        How many, in which pose, and how they are smoothed.
-    threads : ThreadPoolExecutor, optional
-        To work in.
-
-    Returns
-    -------
-    dict of str to float
-        ``validation``, of the prediction, and, of samples with operators, ``smoothed``: means over
-        modes and samples, or if ``config.relative`` geometric means over the samples.
-
-    Examples
-    --------
-    As of `train`, whose log has them.
-    """
-    device = next(network.parameters()).device
-    n = min(config.validation, len(corpus))
-
-    @torch.no_grad()
-    def errors(first: int) -> list[Tensor]:
-        indices = range(first, min(first + 8, n))
-        whole = for_validation(posed(corpus.batch(indices), config), config, first)
-        points, mass, U, smoothers = whole.to(device)
-        with _autocast(device.type, config.precision):
-            F = network(points, mass)
-        if smoothers:
-            return [left.mean(-1) for left in smoothed_residuals(F, mass, U, *smoothers)]
-        return [mode_residuals(F, mass, U).mean(-1)]
-
-    apply = map if threads is None else threads.map
-    found = zip(*apply(errors, range(0, n, 8)), strict=True)
-    names = ("validation", "smoothed")
-    mean = typical if config.relative else np.mean
-    parts = (torch.cat(part).double().cpu().numpy() for part in found)
-    return {name: float(mean(part)) for name, part in zip(names, parts, strict=False)}
 
 
 def _progress(config: TrainConfig, state: TrainState) -> float:
@@ -479,30 +410,19 @@ def _row(config: TrainConfig, state: TrainState, lr: float, rate: float) -> Row:
     }
 
 
-def _record(
-    corpus: Corpus | SampleStream, config: TrainConfig, state: TrainState
-) -> dict[str, Any]:
+def _record(corpus: Source, config: TrainConfig, state: TrainState) -> dict[str, Any]:
     validations = [row for row in state.history if "validation" in row]
     latest = validations[-1] if validations and validations[-1]["step"] == state.step else {}
-    there = corpus if isinstance(corpus, Corpus) else corpus.corpus()
-    made = len(there) if isinstance(corpus, Corpus) else corpus.report().samples
     return {
         "config": asdict(config),
         "steps": state.step,
         "samples": state.samples,
         "minutes": round(state.seconds / 60, 2),
-        "corpus": {"samples": made, "points": there.n_points, "k": there.k},
+        "corpus": {"samples": corpus.made, "points": corpus.n_points, "k": corpus.k},
         "span_error": latest.get("validation"),
         "mean": "geometric" if config.relative else "arithmetic",
         "history": validations,
     }
-
-
-def _source(corpus: Corpus | SampleStream, config: TrainConfig) -> dict[str, Any] | None:
-    """Return what else a batch follows from: of a stream whose samples are shown so often."""
-    if isinstance(corpus, Corpus) or not config.shown:
-        return None
-    return {"capacity": corpus.capacity, "corpus": corpus.config.fingerprint()}
 
 
 def _resumed(
@@ -530,19 +450,17 @@ def _resumed(
     return content
 
 
-def _check_corpora(corpus: Corpus | SampleStream, validation: Corpus, config: TrainConfig) -> None:
+def _check_sources(corpus: Source, validation: Corpus, config: TrainConfig) -> None:
     least = config.network.m + 1  # the functions span everything on fewer
     for name, source in (("corpus", corpus), ("validation", validation)):
-        there = source if isinstance(source, Corpus) else source.corpus()
-        fewest = there.fewest if isinstance(source, Corpus) else source.config.fewest
-        if there.k != config.network.k or fewest < least:
+        if source.k != config.network.k or source.fewest < least:
             raise InvalidInputError(
                 name,
                 f"have samples of at least {least} points and {config.network.k} modes",
-                f"{fewest} and {there.k}",
+                f"{source.fewest} and {source.k}",
                 advice="make it of more points or modes, or train a network with a smaller m",
             )
-        if fewest < there.n_points and config.network.backbone != "neo":
+        if source.fewest < source.n_points and config.network.backbone != "neo":
             raise InvalidInputError(
                 name,
                 f"have as many points in each sample, for {config.network.backbone}, which takes"
@@ -550,18 +468,13 @@ def _check_corpora(corpus: Corpus | SampleStream, validation: Corpus, config: Tr
                 "meshes of fewer",
                 advice="make it without meshes, or take backbone='neo'",
             )
-        if config.beta and not there.has_operators:
+        if config.beta and not source.has_operators:
             raise InvalidInputError(
                 name,
                 f"have operators to smooth with, for beta = {config.beta:g}",
                 "one without",
                 advice="make it anew, or take beta=0",
             )
-
-
-def _autocast(device: str, precision: str) -> torch.autocast:
-    dtype = _DTYPES[precision]
-    return torch.autocast(device, dtype=dtype, enabled=dtype is not None)
 
 
 @contextmanager

@@ -1,0 +1,313 @@
+"""Measure distance solvers side by side: iterations, seconds, errors against exact distances.
+
+    python apps/studies/run.py geodesics OUT                     # needs SPECTRA_KIT_DATA
+    python apps/studies/run.py geodesics OUT --meshes igea amo   # of SPECTRA_KIT_DATA/ood_public
+    python apps/studies/run.py geodesics OUT --meshes my.obj --sources 50
+    python apps/studies/run.py geodesics OUT --race              # all meshes of the set
+
+Exact distances, which take longest, serve until the code changes that computes them. Nothing else
+should run on the machine meanwhile.
+
+Iterations are those of the Poisson step to a relative residual of 1e-8, the median of the sources;
+*fewer*: how many times fewer than ICPCG takes. *Apart*: the largest difference from the fields of
+the direct solver, over the largest distance.
+
+Seconds to the first field go from the arrays of vertices and faces to the distances from one
+source: checks, triangulation, factors or preconditioner, heat and Poisson step; of other packages,
+building the solver and its first solve. They are medians of runs, each in a process of its own that
+has solved on a small sphere before, all contenders by turns; *least* and *processor* (of all
+threads) are of the best run. A solver with modes is handed them: what they took, all 96 of them, is
+in *spectrum* and in *in all*, what someone pays who wants the distance and nothing else. Many
+sources are asked for at once, and nobody is handed modes. With --race what comes without options
+meets potpourri3d both ways. *Times ours*: over what comes without options, by the best runs;
+*faster*: the time of potpourri3d, robust, over its own.
+
+Errors |d - d*| / d* against exact distances are in per cent, the sources aside: mean over vertices,
+over the surface, and the largest; averaged over sources, half of them drawn at random, half far
+from those before. Over the meshes stand a geometric mean and the worst, the mean only of who solved
+them all. On the unit sphere errors are against arcs; the rate is the power of 1/sqrt(n) with which
+the mean error falls from the first size to the last.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from spectra_kit._core.validate import check_count
+from studies.command import add_threads
+from studies.geodesics.contenders import (
+    CONTENDERS,
+    DIRECT,
+    ICPCG,
+    MANY,
+    PLAIN,
+    RACE,
+    ROBUST,
+    UNAIDED,
+)
+from studies.geodesics.distances import Accuracy, Ball, Balls, Exact, Modes, Times, mean_error
+from studies.machine import describe_machine, most_memory
+from studies.recipes import REAL, real_meshes
+from studies.report import Table, ratio, write_report
+from studies.shapes import Shape, shapes_named
+from studies.store import Record, Store
+from studies.study import Repeats, Result, repeats_of, run
+from studies.worker import Limits
+
+MESHES = ("hammer", "bunny", "horse", "koala", "amo", "igea")
+Results = Mapping[str, Sequence[Result[str, Shape]]]
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the study."""
+    add = parser.add_argument
+    add("--meshes", nargs="+", metavar="FILE|NAME",
+        help=f"or members of the set, by name (default: {' '.join(MESHES)}; all of the set with"
+        " --race)")  # fmt: skip
+    add(
+        "--race",
+        action="store_true",
+        help="our default against potpourri3d: first field, many single calls, errors",
+    )
+    add("--sources", type=int, default=20, help="for the time of many (%(default)s)")
+    add("--exact-sources", type=int, default=4,
+        help="where errors are measured; two above 60,000 vertices (%(default)s)")  # fmt: skip
+    add("--repeats", type=int, default=3, help="of each clocked run (%(default)s)")
+    add_threads(parser)
+    add("--seed", type=int, default=0, help="of the sources (%(default)s)")
+    add("--sphere", type=int, nargs="+", default=[3, 4, 5, 6], metavar="N",
+        help="subdivisions of the spheres (default: 3 4 5 6)")  # fmt: skip
+    add("--warm", type=int, default=5, metavar="N",
+        help="subdivisions of the sphere that each process warms up on (%(default)s)")  # fmt: skip
+    add("--quick", action="store_true",
+        help="everything in one process, for a look: seconds are not comparable")  # fmt: skip
+
+
+def _shapes(args: argparse.Namespace) -> tuple[Shape, ...]:
+    """Members of the set, files, or names of public meshes."""
+    of_the_set = [name for name, member in REAL.items() if member.kind == "mesh"]
+    names = args.meshes or (of_the_set if args.race else MESHES)
+    members = real_meshes(name for name in names if args.race and name in of_the_set)
+    return members + shapes_named(n for n in names if not (args.race and n in of_the_set))
+
+
+def measure(args: argparse.Namespace) -> None:
+    """Measure and report."""
+    for name in ("sources", "exact_sources", "repeats", "threads"):
+        check_count(name, getattr(args, name), low=1)
+    limits = Limits(threads=args.threads, memory=most_memory())
+    store, shapes = Store(args.out), _shapes(args)
+    jobs = 0 if args.quick else 1
+    measured = partial(run, store=store, limits=limits, jobs=jobs, retry=True, progress=True)
+    places = {"folder": args.out, "problems": shapes}
+    modes = Modes(**places)
+    exact = Exact(**places, count=args.exact_sources, seed=args.seed)
+    results = {} if args.race else {"modes": measured(modes)}
+    measured(exact)
+    given = {**places, "modes": modes, "exact": exact, "warm": args.warm}
+    machine = describe_machine(name=args.machine, threads=args.threads)
+    clocked = {
+        **given,
+        "repeats": args.repeats,
+        "seed": args.seed,
+        "threads": args.threads,
+        "machine": machine["name"] + " in one process" * args.quick,
+    }
+    compared = (DIRECT, PLAIN, ROBUST) if args.race else None
+    first, many = (RACE, RACE) if args.race else (None, MANY)
+    results["accuracy"] = measured(Accuracy(**given, **_only(compared)))
+    results["first"] = measured(Times(**clocked, **_only(first)))
+    results["many"] = measured(Times(**clocked, **_only(many), many=args.sources))
+    balls = [Ball(kind, count) for kind in ("mesh", "cloud") for count in args.sphere]
+    on_balls = [] if args.race else measured(Balls(folder=args.out, problems=balls, seed=args.seed))
+    rows = told(results, sources=args.sources)
+    everything = [result for some in results.values() for result in some]
+    write_report(
+        args.out,
+        "geodesics",
+        [*everything, *on_balls],
+        [
+            Table("Over the meshes", over_meshes(rows), _OVER),
+            Table("Seconds to the first field", rows, _FIRST),
+            Table("Seconds for many sources", rows, _MANY),
+            Table("Iterations, and errors against exact distances", rows, _ERRORS),
+            Table("The unit sphere", _balls(on_balls), _BALLS),
+        ],
+        machine,
+        settings={"repeats": args.repeats, "sources": args.sources, "one process": args.quick},
+    )
+
+
+def _only(names: Sequence[str] | None) -> dict[str, Any]:
+    return {} if names is None else {"contenders": names}
+
+
+# --- tables ---
+
+_WHO = {"mesh": "", "vertices": ",d", "solver": ""}
+_FIRST = {
+    **_WHO,
+    **dict.fromkeys(("seconds", "faster", "spectrum", "in all", "faster in all"), ".2f"),
+    **dict.fromkeys(("least", "times ours", "processor", "its times ours"), ".2f"),
+    **dict.fromkeys(("triangulation", "setup", "heat", "poisson"), ".2f"),
+    "chosen": "",
+}
+_MANY = {
+    **_WHO,
+    **{"many: seconds": ".2f", "ms each": ".0f", "over direct": ".2f", "many: least": ".2f"},
+    **{"many: times ours": ".2f", "many: processor": ".2f", "many: its times ours": ".2f"},
+}
+_ERRORS = {
+    **_WHO,
+    **{"iterations": ".0f", "fewer": ".2f", "apart": ".1e"},
+    **{"mean %": ".3g", "surface %": ".3g", "largest %": ".3g", "over robust": ".3f"},
+}
+_OVER = {"solver": "", "figure": "", "mean": ".2f", "worst": ".3g", "on": ""}
+#: Of figures that are told over all meshes: which is the worst.
+_WORST = {
+    **dict.fromkeys(("times ours", "its times ours"), min),
+    **dict.fromkeys(("many: times ours", "many: its times ours"), min),
+    **dict.fromkeys(("fewer", "faster", "faster in all"), min),
+    **dict.fromkeys(("over direct", "over robust", "apart"), max),
+}
+
+
+def told(results: Results, *, sources: int) -> list[Record]:
+    """Gather what was measured of each contender on each mesh, from the results of the studies.
+
+    These are "modes", "accuracy", "first" and "many", as far as they are there.
+    """
+    rows = {
+        (study, row.problem.name, row.contender): row
+        for study, some in results.items()
+        for row in repeats_of(some)
+    }
+    shapes = {row.problem.name: row.problem for row in rows.values()}
+    measured = {name for study, _, name in rows if study != "modes"}
+    lines = []
+    for shape in shapes.values():
+        here = {(study, who): row for (study, mesh, who), row in rows.items() if mesh == shape.name}
+        lines += [_line(shape, name, here, sources) for name in CONTENDERS if name in measured]
+    return lines
+
+
+def _line(
+    shape: Shape, name: str, rows: Mapping[tuple[str, str], Repeats[str, Shape]], sources: int
+) -> Record:
+    def seconds(study: str, who: str) -> float | None:
+        row = rows.get((study, who))
+        return None if row is None else row.median("seconds")
+
+    def least(study: str, who: str, unit: str) -> float | None:
+        row = rows.get((study, who))
+        return min(row.values(unit), default=None) if row else None
+
+    def error(who: str, which: str) -> float | None:
+        row = rows.get(("accuracy", who))
+        errors = row.first("errors") if row else None
+        return 100 * mean_error(errors, which) if errors else None
+
+    def iterations(who: str) -> float | None:
+        row = rows.get(("accuracy", who))
+        counts = [count for count in (row and row.first("iterations")) or [] if count is not None]
+        return statistics.median(counts) if counts else None
+
+    own, all_of_many = seconds("first", name), seconds("many", name)
+    middle = _middle(rows.get(("first", name)))
+    # A solver that has chosen to do without modes has not used their time.
+    used = middle.get("solver") != "direct"
+    modes = (seconds("modes", CONTENDERS[name].modes) or 0.0) if used else 0.0
+    in_all = None if own is None else own + modes
+    accuracy = rows.get(("accuracy", name))
+    line: Record = {
+        **{"mesh": shape.name, "vertices": shape.mesh.n, "solver": name},
+        **{"seconds": own, "faster": ratio(seconds("first", ROBUST), own)},
+        **{"spectrum": modes or None, "in all": in_all, "chosen": middle.get("solver")},
+        "faster in all": ratio(seconds("first", ROBUST), in_all),
+        **{stage: middle.get("stages", {}).get(stage) for stage in _FIRST if stage in _STAGES},
+        "many: seconds": all_of_many,
+        "ms each": ratio(all_of_many, min(sources, shape.mesh.n) / 1000),
+        "over direct": ratio(all_of_many, seconds("many", DIRECT)),
+        "iterations": iterations(name),
+        "fewer": ratio(iterations(ICPCG), iterations(name)),
+        "apart": accuracy and accuracy.first("difference"),
+        **{f"{title} %": error(name, which) for title, which in _MEANS.items()},
+        "over robust": ratio(error(name, "mean"), error(ROBUST, "mean")),
+    }
+    for study, prefix in (("first", ""), ("many", "many: ")):
+        for unit, least_name, times in _UNITS:
+            best = least(study, name, unit)
+            line[prefix + least_name] = best
+            line[prefix + times] = ratio(best, least(study, UNAIDED, unit))
+    return line
+
+
+_STAGES = ("triangulation", "setup", "heat", "poisson")
+_MEANS = {"mean": "mean", "surface": "weighted", "largest": "largest"}
+_UNITS = (
+    ("seconds", "least", "times ours"),
+    ("processor_seconds", "processor", "its times ours"),
+)
+
+
+def over_meshes(rows: Sequence[Record]) -> list[Record]:
+    """Tell the mean of each ratio, where it is known of every mesh, and the worst with its mesh."""
+    found = []
+    for name in dict.fromkeys(row["solver"] for row in rows):
+        mine = [row for row in rows if row["solver"] == name]
+        for figure, pick in _WORST.items():
+            known = [row for row in mine if row[figure]]
+            if known:
+                values = [row[figure] for row in known]
+                worst = known[values.index(pick(values))]
+                mean = statistics.geometric_mean(values) if len(known) == len(mine) else None
+                line = {"solver": name, "figure": figure, "mean": mean}
+                found.append({**line, "worst": worst[figure], "on": worst["mesh"]})
+    return found
+
+
+def _middle(row: Repeats[str, Shape] | None) -> Record:
+    """Return the record of the median run, the faster one of two."""
+    good = sorted(
+        (result.record for result in (row.results if row else ()) if result.ok),
+        key=lambda record: record["seconds"],
+    )
+    return good[(len(good) - 1) // 2] if good else {}
+
+
+_BALLS = {
+    "solver": "",
+    "kind": "",
+    "points": ",d",
+    "mean %": ".3g",
+    "largest %": ".3g",
+    "rate": ".2f",
+}
+
+
+def _balls(results: Iterable[Result[str, Ball]]) -> list[Record]:
+    lines: dict[tuple[str, str], list[Record]] = {}
+    for result in results:
+        if result.ok:
+            lines.setdefault((result.problem.kind, result.contender), []).append(result.record)
+    rows: list[Record] = []
+    for (kind, name), records in lines.items():
+        ends = np.log([(r["mean"], r["points"] ** 0.5) for r in (records[0], records[-1])])
+        fall = ends[0] - ends[1]
+        line = {"solver": name, "kind": kind, "rate": ratio(-fall[0], fall[1])}
+        rows += [
+            {
+                **line,
+                "points": r["points"],
+                "mean %": 100 * r["mean"],
+                "largest %": 100 * r["largest"],
+            }
+            for r in records
+        ]
+    return rows

@@ -1,0 +1,196 @@
+r"""Learn to tell shapes apart from a few examples of each class, by many embeddings, and compare.
+
+    python apps/studies/run.py classification OUT             # the training-free rows, SHREC'11
+    python apps/studies/run.py classification OUT --trained   # networks, too
+    python apps/studies/run.py classification OUT --rows "waves+dna, nearest; cloud, predicted"
+    python apps/studies/run.py classification OUT --validate  # to choose by: on the training split
+    python apps/studies/run.py classification OUT --set demo  # animals, rings and eggs, no data
+
+The official split holds 16 shapes of each of 30 classes to learn from and 4 to test on. From every
+seed come the points of the clouds, so many draws of examples, and the rotations; of networks, one
+draw. Per cent of the test split told right, over draws of so many examples a class; with --validate
+of what each draw leaves of the training split. Clouds are 2,048 random points, spectra have 96
+modes. *Turned*: the same shapes turned at random. Networks see shapes and stretched copies of them,
+30,000 in all: as many as about an hour of a core allows to the slowest. OUT also gets confusion.png
+and map.png.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from spectra_kit._core.optional import optional
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit.errors import MissingDependencyError
+from studies import figures
+from studies.learning.classification import (
+    FREE,
+    HEADS,
+    NETWORKS,
+    OF_POINTS,
+    TRAINED,
+    WHOLE,
+    Draws,
+    Row,
+    Vectors,
+    classify_all,
+    most_shots,
+    rows_named,
+    training_of,
+)
+from studies.learning.labelled import CLASSIFIED, labelled_set
+from studies.machine import describe_machine
+from studies.report import Table, write_report
+from studies.shapes import data_folder
+from studies.store import Record
+from studies.study import Result
+
+Results = Sequence[Result[Row, int]]
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the study."""
+    add = parser.add_argument
+    add("--set", choices=[*CLASSIFIED, "demo"], default="shrec11", help="(%(default)s)")
+    add("--data", type=Path, help="folder of the sets (default: $SPECTRA_KIT_DATA/tasks)")
+    add("--rows", nargs="+", metavar="ROW", help="only these, as the table names them")
+    add("--trained", action="store_true", help="rows of networks, too: half an hour each and more")
+    add("--shots", nargs="+", type=int,
+        help="examples a class (1 3 5 10, as far as the set goes)")  # fmt: skip
+    add("--seeds", type=int, default=10, help="(%(default)s)")
+    add("--draws", type=int, default=10, help="for each seed (%(default)s)")
+    add("--validate", action="store_true",
+        help="test on what the draw leaves of the training split")  # fmt: skip
+    add("--jobs", type=int, default=os.cpu_count() or 1, help="side by side (%(default)s)")
+    add("--no-pictures", action="store_true", help="draw nothing")
+
+
+def measure(args: argparse.Namespace) -> bool:
+    """Measure and report; return whether there is a result."""
+    shapes = labelled_set(args.set, args.data or data_folder("tasks"), CLASSIFIED)
+    table = rows_named(args.rows) if args.rows else FREE + TRAINED * args.trained
+    most = most_shots(shapes) - args.validate
+    numbers = args.shots or [q for q in (1, 3, 5, 10) if q <= most]
+    vectors = Vectors(
+        folder=args.out, contenders=[], problems=[], shapes=shapes, validated=args.validate
+    )
+    draws = Draws(
+        folder=args.out,
+        contenders=[row._replace(shots=shots) for row in table for shots in numbers],
+        problems=list(range(args.seeds)),
+        shapes=shapes,
+        vectors=vectors,
+        draws=args.draws,
+    )
+    results = classify_all(draws, jobs=args.jobs, progress=True)
+    drawn: list[Path] = []
+    if not args.no_pictures:
+        try:
+            drawn = draw_pictures(results, draws)
+        except MissingDependencyError as error:
+            print(f"no pictures: {error}", file=sys.stderr)
+    columns = {"row": "", "examples": "d", "mean": ".1f", "deviation": ".1f", "worst": ".1f"}
+    columns |= {"turned": ".1f", "draws": "d", "epochs": "d"}
+    write_report(
+        args.out,
+        "classification",
+        results,
+        [Table("Per cent told right", summarize(results), columns)],
+        describe_machine(),
+        figures=drawn,
+        set=shapes.name,
+        validated=args.validate,
+        names={name: repr(what) for name, what in {**WHOLE, **HEADS, **NETWORKS}.items()},
+        of_points={name: repr(what) for name, what in OF_POINTS.items()},
+    )
+    return any(result.ok for result in results)
+
+
+def summarize(results: Results) -> list[Record]:
+    """Return, by row and number of examples, what all draws of all seeds gave, in per cent."""
+    groups: dict[Row, list[Record]] = {}
+    for result in results:
+        if result.ok:
+            groups.setdefault(result.contender, []).append(result.record)
+    rows = []
+    for row, records in groups.items():
+        right, turned = (
+            100 * np.concatenate([record[name] for record in records])
+            for name in ("right", "turned")
+        )
+        examples = row.shots * len(records[0]["confused"])
+        rows.append(
+            {
+                **{"row": str(row._replace(shots=0)), "examples": row.shots, "draws": len(right)},
+                **{"mean": float(right.mean()), "deviation": float(right.std())},
+                "worst": float(right.min()),
+                "turned": float(turned.mean()) if len(turned) else None,
+                "epochs": training_of(row, examples, 0).epochs if row.trained else None,
+            }
+        )
+    return rows
+
+
+def draw_pictures(results: Results, draws: Draws) -> list[Path]:
+    """Draw who is taken for whom and where all shapes lie, for the last row of heads."""
+    heads = [r for r in results if r.ok and not r.contender.trained]
+    if not heads:
+        return []
+    best = [r.contender for r in heads if r.contender[1:3] == ("waves+dna", "nearest")]
+    last = (best or [r.contender for r in heads])[-1]
+    same = [r.contender for r in heads if r.contender[:3] == last[:3]]
+    row = min(same, key=lambda one: one.shots)
+    every = draws.shapes.train if draws.validated else np.arange(len(draws.shapes.meshes))
+    vectors = draws.vectors.of(every, row.view, next(iter(draws.problems)), row.embedding)
+    return [
+        _draw_confusion([r for r in heads if r.contender == row], draws),
+        _draw_map(vectors, every, row, draws),
+    ]
+
+
+def _draw_confusion(results: Results, draws: Draws) -> Path:
+    counts = np.sum([r.record["confused"] for r in results], axis=0)
+    shares = 100 * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    row, names = results[0].contender, draws.shapes.classes
+    figure, (axes,) = figures.panels(f"What is taken for what: {row}", width=9)
+    figure.set_size_inches(9, 8)
+    axes.grid(visible=False)
+    image = axes.imshow(shares, cmap="Blues", vmin=0, vmax=100)
+    axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
+    axes.set_yticks(range(len(names)), names, fontsize=7)
+    axes.set_xlabel("taken for")
+    axes.set_ylabel("is")
+    for i, j in zip(*np.nonzero((shares >= 1) & ~np.eye(len(names), dtype=bool)), strict=True):
+        axes.text(j, i, f"{shares[i, j]:.0f}", ha="center", va="center", fontsize=6)
+    figure.colorbar(image, ax=axes, label="% of the class", shrink=0.7)
+    return figures.save(figure, draws.folder / "confusion.png")
+
+
+def _draw_map(vectors: Floats, every: Ints, row: Row, draws: Draws) -> Path:
+    """Draw all shapes in the plane: near are those that t-SNE keeps near."""
+    manifold = optional("sklearn.manifold", extra="learn", needed_by="the map")
+    scaled = vectors / np.maximum(vectors.std(axis=0), 1e-12)
+    perplexity = min(15, (len(scaled) - 1) / 3)
+    places = manifold.TSNE(
+        metric="manhattan", init="random", perplexity=perplexity, random_state=0
+    ).fit_transform(scaled)
+    assert draws.shapes.labels is not None
+    labels, names = draws.shapes.labels[every], draws.shapes.classes
+    figure, (axes,) = figures.panels(f"All shapes by {row.embedding}; {row.view}", width=9)
+    figure.set_size_inches(9, 8)
+    axes.grid(visible=False)
+    axes.set_axis_off()
+    for label, name in enumerate(names):
+        own = places[labels == label]
+        colour = f"C{label % 10}"
+        axes.scatter(
+            own[:, 0], own[:, 1], s=14, color=colour, marker="os^"[label // 10 % 3], linewidths=0
+        )
+        axes.annotate(name, np.median(own, axis=0), fontsize=8, ha="center", weight="bold")
+    return figures.save(figure, draws.folder / "map.png")

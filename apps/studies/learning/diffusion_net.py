@@ -1,0 +1,248 @@
+"""Run DiffusionNet's own layers and published weights on our operators, and on its own.
+
+    python apps/studies/run.py diffusion-net OUT --peer FOLDER
+    python apps/studies/run.py diffusion-net OUT --peer FOLDER --data DATA/tasks --vertices 100000
+
+FOLDER holds the authors' package diffusion_net/ and pretrained/human_seg_hks_4x128.pth and
+human_seg_xyz_4x128.pth; it is imported as it is, and needs scikit-learn beside what we need.
+The weights tell the parts of human bodies; they are asked about the faces of the test bodies of
+human_seg_meshcnn.npz, which are simplified to 1,500 faces, with operators of four makers: faces
+labelled right, in percent, on average and on the worst body, and those labelled as with their own
+operators, right or wrong. Then all seven tensors of one animal are made by each, with 128 modes,
+and timed: CPU seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+import spectra_kit as sk
+from spectra_kit.errors import DoubtfulSpectrumWarning, InvalidInputError
+from spectra_kit.geometry import TriangleMesh, creature
+from spectra_kit.operators import tangent_gradient
+from studies.learning.labelled import SEGMENTED, LabelledSet, labelled_set
+from studies.machine import describe_machine
+from studies.report import Table, write_report
+from studies.shapes import data_folder
+from studies.store import Record
+
+_K, _SCALES, _WIDTH, _BLOCKS, _CLASSES = 128, 16, 128, 4, 8  # of the published weights
+_WEIGHTS = {
+    "heat signatures": ("human_seg_hks_4x128.pth", _SCALES),
+    "coordinates": ("human_seg_xyz_4x128.pth", 3),
+}
+INPUTS = tuple(_WEIGHTS)
+
+
+class Made(NamedTuple):
+    """Operators in DiffusionNet's order, and the CPU seconds of the stages that made them."""
+
+    tensors: tuple[Tensor, ...]
+    seconds: dict[str, float]
+
+
+#: Takes points (n, 3) and faces (f, 3) as tensors, returns operators.
+Maker = Callable[[Tensor, Tensor], Made]
+
+
+@dataclass(frozen=True, eq=False)
+class Published:
+    """Their modules, imported from their folder as they are, and the networks by their inputs."""
+
+    geometry: ModuleType
+    networks: dict[str, torch.nn.Module]
+
+    @classmethod
+    def from_folder(cls, folder: Path) -> Published:
+        """Import the package and read the weights below a folder."""
+        if not (folder / "diffusion_net" / "layers.py").is_file():
+            raise InvalidInputError(
+                "peer", "hold diffusion_net/layers.py and pretrained/", f"neither in {folder}"
+            )
+        sys.path.insert(0, str(folder))
+        layers, geometry = (
+            importlib.import_module(f"diffusion_net.{name}") for name in ("layers", "geometry")
+        )
+        networks = {}
+        for name, (file, channels) in _WEIGHTS.items():
+            networks[name] = layers.DiffusionNet(
+                *(channels, _CLASSES), C_width=_WIDTH, N_block=_BLOCKS, outputs_at="faces"
+            ).eval()
+            networks[name].load_state_dict(
+                torch.load(folder / "pretrained" / file, map_location="cpu", weights_only=True)
+            )
+        return cls(geometry, networks)
+
+    def operators(self, points: Tensor, faces: Tensor) -> Made:
+        """Return the operators of their own ``get_operators``."""
+        start = time.process_time()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of a constructor that torch will retire
+            tensors = self.geometry.get_operators(points, faces, k_eig=_K)
+        return Made(tensors, {"all": time.process_time() - start})
+
+    @torch.no_grad()
+    def labels(self, points: Tensor, faces: Tensor, tensors: tuple[Tensor, ...]) -> list[Tensor]:
+        """Return the class of each face, (f,), by each network."""
+        _, mass, L, evals, evecs, grad_x, grad_y = tensors
+        heat = self.geometry.compute_hks_autoscale(evals, evecs, _SCALES)
+        options = {"L": L, "evals": evals, "evecs": evecs, "gradX": grad_x, "gradY": grad_y}
+        return [
+            network(heat if name == INPUTS[0] else points, mass, faces=faces, **options).argmax(-1)
+            for name, network in self.networks.items()
+        ]
+
+    def prepared(self, mesh: TriangleMesh) -> tuple[Tensor, Tensor]:
+        """Return points and faces as their scripts prepare them: the farthest point is at 1."""
+        points = self.geometry.normalize_positions(torch.tensor(mesh.points, dtype=torch.float32))
+        return points, torch.tensor(mesh.faces)
+
+
+def maker_of(solver: Any) -> Maker:
+    """Return what makes our operators, with the modes of a solver."""
+
+    def make(points: Tensor, faces: Tensor) -> Made:
+        times = [time.process_time()]
+        mesh = TriangleMesh(points.double().numpy(), faces.numpy())
+        laplacian = sk.laplacian(mesh)
+        times.append(time.process_time())
+        with warnings.catch_warnings():
+            # A solver may be told to stop before its modes are good: to see what they are good for.
+            warnings.simplefilter("ignore", DoubtfulSpectrumWarning)
+            spectrum = sk.eigensolve(laplacian, _K, solver)
+        times.append(time.process_time())
+        gradient = tangent_gradient(mesh, oriented=True)
+        times.append(time.process_time())
+        tensors = sk.interop.to_diffusion_net(spectrum, laplacian, gradient)
+        times.append(time.process_time())
+        stages = ("Laplacian", "modes", "gradient", "tensors")
+        return Made(tensors, dict(zip(stages, np.diff(times).tolist(), strict=True)))
+
+    return make
+
+
+def makers(published: Published) -> dict[str, Maker]:
+    """Return all makers by their names: theirs first, which the others are compared with."""
+    predicted = sk.Neo().subspace
+    return {
+        "their get_operators": published.operators,
+        "exact modes": maker_of(sk.Automatic()),
+        "NEO, polished once": maker_of(sk.Cascade(subspace=predicted, max_steps=1)),
+        "NEO, as predicted": maker_of(sk.Cascade(subspace=predicted, max_steps=0)),
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Marks:
+    """Shares of faces, in percent, on each of s test bodies."""
+
+    maker: str
+    inputs: str
+    right: np.ndarray[Any, Any]  #: (s,)
+    as_theirs: np.ndarray[Any, Any]  #: (s,): where both say the same, right or wrong.
+
+
+def mark(
+    published: Published, shapes: LabelledSet, chosen: Sequence[int], *, told: Callable[[str], None]
+) -> list[Marks]:
+    """Label the faces of some bodies by the operators of each maker."""
+    right: dict[tuple[str, str], list[float]] = {}
+    same: dict[tuple[str, str], list[float]] = {}
+    for i in chosen:
+        points, faces = published.prepared(shapes.meshes[i])
+        truth = torch.tensor(shapes.face_labels[i])
+        theirs: list[Tensor] = []
+        for name, make in makers(published).items():
+            found = published.labels(points, faces, make(points, faces).tensors)
+            theirs = theirs or found
+            for inputs, labels, other in zip(INPUTS, found, theirs, strict=True):
+                right.setdefault((name, inputs), []).append(_percent(labels == truth))
+                same.setdefault((name, inputs), []).append(_percent(labels == other))
+        told(f"body {i}")
+    return [Marks(*key, np.array(right[key]), np.array(same[key])) for key in right]
+
+
+def seconds(published: Published, mesh: TriangleMesh) -> dict[str, dict[str, float]]:
+    """Return the CPU seconds of each maker's stages on a mesh, once all is loaded and compiled."""
+    found = {}
+    for name, make in makers(published).items():
+        for surface in (creature(10_000), mesh):
+            found[name] = make(*published.prepared(surface)).seconds
+    return found
+
+
+def _percent(good: Tensor) -> float:
+    return 100 * float(good.double().mean())
+
+
+# --- command ---
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the study."""
+    add = parser.add_argument
+    add("--peer", type=Path, required=True, help="folder of the authors' package and weights")
+    add("--data", type=Path, help="folder of the sets (default: $SPECTRA_KIT_DATA/tasks)")
+    add("--bodies", type=int, help="only so many test bodies")
+    add("--vertices", type=int, default=100_000, help="of the mesh that is timed (%(default)s)")
+
+
+def measure(args: argparse.Namespace) -> None:
+    """Measure and report."""
+    published = Published.from_folder(args.peer)
+    bodies = labelled_set("human", args.data or data_folder("tasks"), SEGMENTED)
+    chosen = bodies.test[: args.bodies].tolist()
+    marks = mark(published, bodies, chosen, told=lambda line: print(line, file=sys.stderr))
+    mesh = creature(args.vertices)
+    times = seconds(published, mesh)
+    args.out.mkdir(parents=True, exist_ok=True)
+    accuracy = {"operators": "", "inputs": "", "mean": ".2f", "difference": "+.2f"}
+    accuracy |= {"worst": ".2f", "body": "d", "same labels": ".2f"}
+    stages = dict.fromkeys(stage for made in times.values() for stage in made)
+    write_report(
+        args.out,
+        "diffusion-net",
+        [],
+        [
+            Table("Faces labelled right", _accuracy(marks, chosen), accuracy),
+            Table(
+                "Seconds",
+                [
+                    {"operators": name, "sum": sum(made.values()), **made}
+                    for name, made in times.items()
+                ],
+                {"operators": "", "sum": ".1f", **dict.fromkeys(stages, ".2f")},
+            ),
+        ],
+        describe_machine(threads=torch.get_num_threads()),
+        marks=marks,
+        bodies=chosen,
+        seconds=times,
+        vertices=mesh.n,
+    )
+
+
+def _accuracy(marks: list[Marks], chosen: list[int]) -> list[Record]:
+    theirs = {inputs: next(m for m in marks if m.inputs == inputs) for inputs in INPUTS}
+    return [
+        {
+            **{"operators": one.maker, "inputs": one.inputs, "mean": one.right.mean()},
+            "difference": one.right.mean() - theirs[one.inputs].right.mean(),
+            **{"worst": one.right.min(), "body": chosen[int(np.argmin(one.right))]},
+            "same labels": one.as_theirs.mean(),
+        }
+        for one in marks
+    ]

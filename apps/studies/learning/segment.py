@@ -1,0 +1,208 @@
+r"""Learn to tell the parts of shapes, by many embeddings and networks, and compare.
+
+    python apps/studies/run.py segmentation OUT                 # human bodies, all rows
+    python apps/studies/run.py segmentation OUT --set human aliens chairs vases
+    python apps/studies/run.py segmentation OUT --rows "human: encoding, mlp; mesh, exact; all"
+    python apps/studies/run.py segmentation OUT --validate      # to choose by: sees no test shape
+    python apps/studies/run.py segmentation OUT --set demo --epochs 3  # no data
+
+The official splits; with --validate a held-out part of the training split. From the seed come
+weights, order, rotations, the choice of a few shapes and the points of clouds. A few shapes are
+shown beside 15 stretched copies of each, so an epoch is as many times longer; the last epoch
+counts, none is picked. Clouds are 2,048 random points, whose labels the vertices get; spectra have
+96 modes.
+
+IoU is the mean intersection over union of the classes by area; also of the worst seed, and where
+the tested shapes are turned at random. *Area*, *faces*, *vertices*: shares of these told right;
+*edges*: by area, of those whose class is that of a face beside them, as MeshCNN counts. *Seen*: how
+many of the tested shapes are learned from as well, since some sets hold shapes twice; *new*: the
+marks of the others. *To 0.80*: the epoch whose median IoU first reaches that. OUT also gets
+epochs.png, coloured shapes beside their truth, and in files/ each network, for `load_labeller`. The
+same command after an interruption goes on from the last epoch.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spectra_kit._core.threads import usable_cores
+from spectra_kit._core.types import Floats
+from spectra_kit.errors import InvalidInputError, MissingDependencyError
+from spectra_kit.show import Page, Portrait, plot_portraits
+from studies import figures
+from studies.learning.labelled import SEGMENTED, LabelledSet, labelled_set
+from studies.learning.segmentation import (
+    EMBEDDINGS,
+    NETWORKS,
+    Parts,
+    PartsRow,
+    parts_rows,
+    segment_all,
+)
+from studies.machine import describe_machine
+from studies.report import Table, write_report
+from studies.shapes import data_folder
+from studies.study import Result
+
+Results = Sequence[Result[PartsRow, int]]
+
+GOAL = 0.8  #: Intersection over union: the epoch that reaches it is told.
+_MARKS = ("iou", "area", "faces", "vertices", "edges")
+_COLUMNS = {
+    **{"row": "", "iou": ".3f", "deviation": ".3f", "worst": ".3f", "turned": ".3f"},
+    **dict.fromkeys(_MARKS[1:], ".1%"),
+    **{"seen": "d", "new: iou": ".3f", "new: edges": ".1%", "to 0.80": "d"},
+    **{"epochs": "d", "weights": ",d", "seeds": "d"},
+}
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the study."""
+    add = parser.add_argument
+    add("--set", nargs="+", choices=[*SEGMENTED, "demo"], default=["human"], metavar="NAME",
+        help=f"{', '.join(SEGMENTED)} or demo (human)")  # fmt: skip
+    add("--data", type=Path, help="folder of the sets (default: $SPECTRA_KIT_DATA/tasks)")
+    add("--rows", nargs="+", metavar="ROW", help="only these, as the table names them")
+    add("--epochs", type=int, default=40, help="(%(default)s)")
+    add("--seeds", type=int, default=1, help="(%(default)s)")
+    add("--validate", action="store_true",
+        help="test on a source of the training split (or a tenth), held out")  # fmt: skip
+    add("--jobs", type=int, default=usable_cores(), help="side by side (%(default)s)")
+    add("--no-pictures", action="store_true", help="do not draw shapes")
+
+
+def measure(args: argparse.Namespace) -> bool:
+    """Measure and report; return whether there is a result."""
+    table = {str(row): row for name in args.set for row in parts_rows(name)}
+    for name in args.rows or ():
+        if name not in table:
+            raise InvalidInputError("rows", f"be of these: {' | '.join(table)}", repr(name))
+    folder = args.data or data_folder("tasks")
+    parts = Parts(
+        folder=args.out,
+        contenders=[table[name] for name in args.rows or table],
+        problems=list(range(args.seeds)),
+        sets={name: labelled_set(name, folder, SEGMENTED) for name in args.set},
+        epochs=args.epochs,
+        validated=args.validate,
+    )
+    results = segment_all(parts, jobs=args.jobs, progress=True)
+    found = summarize(results)
+    drawn = [_draw_curves(found, args.out / "epochs.png")] if found else []
+    if not args.no_pictures:
+        try:
+            drawn += draw_extremes(results, parts)
+        except MissingDependencyError as error:
+            print(f"shapes are not drawn: {error}", file=sys.stderr)
+    write_report(
+        args.out,
+        "segmentation",
+        results,
+        [
+            Table("Parts told right", [{"row": str(r), **c} for r, c in found.items()], _COLUMNS),
+            Table("Held out", held_out(parts), {"set": "", "seed": "d", "source": ""}),
+        ],
+        describe_machine(),
+        figures=drawn,
+        validated=args.validate,
+        names={name: repr(what) for name, what in {**EMBEDDINGS, **NETWORKS}.items()},
+    )
+    return any(result.ok for result in results)
+
+
+def held_out(parts: Parts) -> list[dict[str, Any]]:
+    """Tell which source of each set, all of it, each seed holds out to choose by."""
+    return [
+        {"set": name, "seed": seed, "source": source}
+        for name in sorted({row.set for row in parts.contenders} if parts.validated else ())
+        for seed in parts.problems
+        if (source := parts.sets[name].held_source(seed))
+    ]
+
+
+def summarize(results: Results) -> dict[PartsRow, dict[str, Any]]:
+    """Return, by row, means and worst of all seeds."""
+    groups: dict[PartsRow, list[dict[str, Any]]] = {}
+    for result in results:
+        if result.ok:
+            groups.setdefault(result.contender, []).append(result.record)
+    return {
+        row: {
+            **{mark: float(np.mean([r[mark] for r in records])) for mark in _MARKS},
+            "worst": min(r["iou"] for r in records),
+            "deviation": float(np.std([r["iou"] for r in records])),
+            "turned": float(np.mean([r["turned"]["iou"] for r in records])),
+            "seen": max(r["seen"] for r in records),
+            "new": {
+                mark: float(np.mean([r["unseen"][mark] for r in records if r["unseen"]] or np.nan))
+                for mark in _MARKS
+            },
+            "epochs": int(records[0]["curve"][-1][0]),
+            "reached": _reached(np.median([r["curve"] for r in records], axis=0)),
+            "curves": [r["curve"] for r in records],
+            "weights": records[0]["weights"],
+            "examples": records[0]["examples"],
+            "seeds": len(records),
+        }
+        for row, records in groups.items()
+    }
+
+
+def _reached(curve: Floats) -> int | None:
+    return next((int(epoch) for epoch, value in curve if value >= GOAL), None)
+
+
+def _draw_curves(found: dict[PartsRow, dict[str, Any]], path: Path) -> Path:
+    whole = {row: cells for row, cells in found.items() if not row.shots}
+    few = {row: cells for row, cells in found.items() if row.shots}
+    groups = [group for group in (whole, few) if group]
+    figure, axes = figures.panels("Parts told right after each epoch", len(groups), width=13)
+    for panel, group in zip(axes, groups, strict=True):
+        for i, (row, cells) in enumerate(group.items()):
+            curves = np.array(cells["curves"])
+            figures.band(panel, curves[0, :, 0], curves[:, :, 1], str(row), **figures.line(i))
+        panel.axhline(GOAL, color="0.6", lw=0.8)
+        panel.set_xscale("log")
+        panel.set_ylim(0.4, 1)
+        panel.set_xlabel("epoch")
+        panel.set_ylabel("mean IoU")
+        panel.legend(fontsize=6, frameon=False, loc="lower right")
+    return figures.save(figure, path)
+
+
+def draw_extremes(results: Results, parts: Parts) -> list[Path]:
+    """Draw the median and the worst shape of each set's first row beside their truth."""
+    made, done = list[Path](), set[str]()
+    for result in results:
+        row = result.contender
+        if not result.ok or row.set in done:
+            continue
+        done.add(row.set)
+        made.append(_draw_shapes(result, parts.sets[row.set], parts.folder))
+    return made
+
+
+def _draw_shapes(result: Result[PartsRow, int], shapes: LabelledSet, folder: Path) -> Path:
+    file = next(name for name in result.record["files"] if name.endswith(".npz"))
+    with np.load(folder / file) as labels:
+        told = {int(number): labels[number] for number in labels}
+    right = {i: float((found == shapes.vertex_labels[i]).mean()) for i, found in told.items()}
+    order = sorted(right, key=lambda i: right[i])
+    chosen = [order[len(order) // 2], order[0]]
+    path = folder / f"parts_{result.contender.set}.png"
+    portraits = [
+        Portrait(geometry=shapes.meshes[i], labels=labels, lines=(f"shape {i}", line))
+        for i in chosen
+        for labels, line in (
+            (shapes.vertex_labels[i], "truth"),
+            (told[i], f"{100 * right[i]:.1f} % of the vertices right"),
+        )
+    ]
+    plot_portraits(path, portraits, page=Page(str(result.contender)))
+    return path

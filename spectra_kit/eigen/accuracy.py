@@ -1,0 +1,308 @@
+"""How far eigenvalues are off: proved by smoothing and by gaps, estimates held against counts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from spectra_kit._core.threads import blas_threads_for
+from spectra_kit._core.types import Floats
+from spectra_kit._core.validate import quantity, warn
+from spectra_kit._sparse import SparseLDL
+from spectra_kit._sparse.memory import factor_gigabytes
+from spectra_kit._sparse.products import spmm
+from spectra_kit._sparse.ritz import ritz_pairs
+from spectra_kit.eigen.base import Eigensolver
+from spectra_kit.eigen.certificate import Certificate
+from spectra_kit.eigen.multigrid.estimates import in_order
+from spectra_kit.eigen.multigrid.smoothing import smoothed
+from spectra_kit.eigen.spectrum import Spectrum
+from spectra_kit.errors import DoubtfulSpectrumWarning, InvalidInputError
+from spectra_kit.operators.laplacian import Laplacian
+
+#: Eigenvalues that are too high by more than this, relative to the true ones, are told.
+DOUBTFUL = 0.1
+_ESTIMATED = 0.03  # errors estimated to be below need no proof: estimates are better than this
+_DEGREE = 12  # sparse products; twice as many prove hardly more
+_SMOOTHED = 32  # smoothed at a time, for the sake of memory
+
+
+def with_excess(certificate: Certificate, spectrum: Spectrum, laplacian: Laplacian) -> Certificate:
+    """Return the certificate of a spectrum with its `excess`, where it leaves doubts without it."""
+    if certificate.errors is not None and (certificate.errors <= _ESTIMATED).all():
+        return certificate  # these come from smoothing, too
+    # Some true eigenvalue lies within the residual of each: smaller ones leave nothing to prove.
+    if not (certificate.relative_residuals > DOUBTFUL).any():
+        return certificate
+    return replace(certificate, excess=proved_excess(spectrum, laplacian))
+
+
+def proved_excess(spectrum: Spectrum, laplacian: Laplacian) -> Floats:
+    """Return by how much each eigenvalue is too high at least, relative to the true one; (k,).
+
+    The j-th Ritz value of *any* functions is at least the j-th eigenvalue (Courant and Fischer).
+    So where those of the smoothed modes are lower, the modes were too high by the difference, if
+    not by more: what smoothing does not find, such as a mode that is missing altogether, is not
+    proved.
+    """
+    values, vectors = spectrum.eigenvalues, spectrum.eigenvectors
+    if len(laplacian.fixed):
+        vectors = vectors[laplacian.free]
+        laplacian = laplacian.restricted(laplacian.free)
+    smooth = np.empty(vectors.shape)
+    for start in range(0, spectrum.k, _SMOOTHED):
+        block = slice(start, start + _SMOOTHED)
+        smooth[:, block] = smoothed(laplacian, values[block], vectors[:, block], degree=_DEGREE)
+    lower = ritz_pairs(laplacian.stiffness, laplacian.mass, smooth, spectrum.k).eigenvalues
+    excess = np.zeros(spectrum.k)
+    told = slice(laplacian.kernel_dimension, len(lower))
+    excess[told] = np.maximum(values[told] / lower[told] - 1, 0.0)
+    return excess
+
+
+def verdict(spectrum: Spectrum) -> str:
+    """Say in a line which eigenvalues are far too high, proved or estimated; nothing if none is."""
+    certificate = spectrum.certificate
+    if certificate is None:
+        return ""
+    for known, by in (("proved", certificate.excess), ("estimated", certificate.errors)):
+        if by is not None and (high := by > DOUBTFUL).any():
+            worst = int(by.argmax())
+            return (
+                f"{known} to be more than {DOUBTFUL:.0%} too high: {high.sum()} of"
+                f" {quantity(spectrum.k, 'eigenvalue')}, that of mode {worst} by {by[worst]:.0%}"
+                f" {'or more' if known == 'proved' else 'or so'}"
+            )
+    return ""
+
+
+def warn_of_doubts(spectrum: Spectrum, solver: Eigensolver, *, where: str = "") -> None:
+    """Warn of what is doubtful of a solver's spectrum, if it is approximate.
+
+    That is what `verdict` says, and that the solver's target was missed. Of many spectra, `where`
+    says which it is.
+    """
+    if spectrum.provenance.accuracy in ("exact", "to tolerance"):
+        return
+    if told := verdict(spectrum):
+        warn(
+            told,
+            DoubtfulSpectrumWarning,
+            advice="smooth it by {}, go on from it by {}, or take an exact solver such as {}",
+            remedies=("Cascade", "Refined", "Arpack"),
+            where=where,
+        )
+    certificate = spectrum.certificate
+    errors = None if certificate is None else certificate.errors
+    target, steps = getattr(solver, "target", None), spectrum.provenance.iterations
+    if target is None or errors is None or not steps:  # without steps nothing was aimed at
+        return
+    if (left := float(errors.mean())) > target:
+        warn(
+            f"target = {target:g} was not reached: {quantity(steps, 'step')} of smoothing left"
+            " errors that are"
+            f" estimated at {left:.1e} in the mean",
+            DoubtfulSpectrumWarning,
+            advice=("raise {}", "use {}"),
+            remedies=("max_steps", "Arpack"),
+            where=where,
+        )
+
+
+_EPS = float(np.finfo(np.float64).eps)
+_CLUSTER = 4  # times their residuals: eigenvalues that are closer are one cluster
+_COLUMNS = 64  # of L @ U at once, about
+
+
+def with_bounds(certificate: Certificate, spectrum: Spectrum, laplacian: Laplacian) -> Certificate:
+    """Return the certificate of a spectrum with its `errors`, unless it knows them better.
+
+    Of modes that a count has verified they are bounds. It stays as it is where residuals are as
+    large as those of predictions, which tell nothing.
+
+    Of eigenvalues in a cluster with residuals R of Frobenius norm ``|R|`` and Rayleigh quotients in
+    the matrix G, none is off by more than ``|G - diag(theta)| + |R|^2 / gap``, with the gap to
+    all eigenvalues of the operator outside of the cluster (Kato and Temple; for clusters, Mathias,
+    *Quadratic residual bounds for the Hermitian eigenvalue problem*, 1998). Those that were found
+    are within ``radius`` of true ones, and these within ``|R|`` of those of the complement: both
+    are taken off the gap. Where none is left, the bound is the linear one.
+    """
+    if not spectrum.k or certificate.relative_residuals.max() > DOUBTFUL:
+        return certificate
+    relative, spacing = certificate.relative_residuals, laplacian.eigenvalue_spacing
+    some = np.where(relative > 0, relative, 1.0)
+    least = np.where(
+        relative > 0, certificate.residuals / some, np.maximum(spectrum.eigenvalues, spacing)
+    )
+    bounded, errors = np.arange(spectrum.k) < certificate.n_verified, certificate.errors
+    if errors is None or bounded.any():
+        with blas_threads_for(spectrum.eigenvectors.size):
+            own = _absolute(certificate, spectrum, laplacian) / least
+        bounded &= True if errors is None else own < errors
+        errors = own if errors is None else np.where(bounded, own, errors)
+    mixed = in_order(spectrum.eigenvalues, errors * least) / least
+    errors = np.where(bounded, errors, mixed)
+    return replace(certificate, errors=errors, bounded=bounded)
+
+
+def _absolute(certificate: Certificate, spectrum: Spectrum, laplacian: Laplacian) -> Floats:
+    """Return how far the eigenvalues are off, in 1/length^2."""
+    values, k = spectrum.eigenvalues, spectrum.k
+    count, residuals = certificate.count, certificate.residuals
+    verified = certificate.n_verified
+    radius = count.radius if count else 0.0
+    least = rounding(laplacian)
+    off = np.empty(k)
+    for (first, last), quotients, gram in _clusters(residuals, spectrum, laplacian):
+        theta = values[first:last]
+        apart = float(np.linalg.norm(gram - np.eye(last - first)))  # from orthonormal
+        size = (1 + apart) * float(np.linalg.norm(residuals[first:last]))
+        below = values[first] - values[first - 1] if first else np.inf
+        # What no count has told is taken to be no nearer than it is on average, here or in all.
+        room = min(laplacian.eigenvalue_spacing, (values[-1] - values[0]) / max(k - 1, 1))
+        floor = count.floor if count and verified else values[-1] + room
+        higher = values[last] if last < (verified or k) else floor
+        gap = min(below, higher - values[last - 1]) - radius - size
+        skew = float(np.linalg.norm(quotients - np.diag(theta)))
+        skew += (1 + apart) ** 2 * apart * float(theta[-1])
+        sure = np.arange(first, last) < verified
+        linear = np.where(sure, radius, residuals[first:last])
+        quadratic = skew + size**2 / gap if gap > 0 else np.inf
+        # Of a cluster that was counted in part, nothing quadratic is proved.
+        quadratics = np.where(sure & (last > verified), np.inf, quadratic)
+        off[first:last] = np.minimum(linear, quadratics) + least * sure
+    return off
+
+
+def _clusters(
+    residuals: Floats, spectrum: Spectrum, laplacian: Laplacian
+) -> Iterator[tuple[tuple[int, int], Floats, Floats]]:
+    """Find first and last of modes that belong together, with their ``U^T L U`` and ``U^T M U``."""
+    U = spectrum.eigenvectors
+    apart = np.diff(spectrum.eigenvalues) > _CLUSTER * (residuals[1:] + residuals[:-1])
+    ends = [*(np.flatnonzero(apart) + 1).tolist(), spectrum.k]
+    first = start = 0
+    for i, end in enumerate(ends):
+        if end - start < _COLUMNS and i < len(ends) - 1:
+            continue
+        some = np.ascontiguousarray(U[:, start:end])
+        quotients = some.T @ spmm(laplacian.stiffness, some)
+        gram = some.T @ (laplacian.mass[:, None] * some)
+        inside = [e for e in ends if start < e <= end]
+        for last in inside:
+            block = slice(first - start, last - start)
+            yield (first, last), quotients[block, block], gram[block, block]
+            first = last
+        start = end
+
+
+def rounding(laplacian: Laplacian) -> float:
+    """Bound the rounding of ``M^-1/2 L M^-1/2 u``, and what one triangle hides of an asymmetry."""
+    stiffness = laplacian.stiffness
+    scale = sparse.diags_array(1 / np.sqrt(laplacian.mass))
+    magnitude = scale @ abs(stiffness) @ scale
+    asymmetry = scale @ abs(stiffness - stiffness.T) @ scale
+    longest = int(np.diff(stiffness.indptr).max())
+    return float((longest + 4) * _EPS * magnitude.sum(axis=1).max() + asymmetry.sum(axis=1).max())
+
+
+_WORK = 2**16  # points times counts: a tenth of a second, where smoothing takes some
+_FEW = 10_000  # points up to which any operator is counted on
+_GIGABYTES = 8.0  # of a factor, at most
+_TIMES = (3, 30, 300)  # as large as estimated: what solvers say of themselves, and what is tried
+_WEAK = 1e-3  # of the diagonal entries at its ends: an edge that coarse levels may not see as weak
+_DECADES = 6  # that masses span where triangles are of one kind
+
+
+def is_hard(laplacian: Laplacian) -> bool:
+    """Whether modes may live where no coarse level looks: counts are worth a factor then.
+
+    Where rows do not sum to zero (a potential, or fixed points beside), masses span many decades,
+    or parts hang together by edges that are weak at both ends.
+    """
+    if not laplacian.kernel_dimension or np.ptp(np.log10(laplacian.mass)) > _DECADES:
+        return True
+    L = sparse.coo_array(laplacian.stiffness)
+    root = np.sqrt(np.maximum(laplacian.stiffness.diagonal(), 0.0))
+    strong = np.abs(L.data) > _WEAK * root[L.row] * root[L.col]
+    graph = sparse.csr_array((strong[strong], (L.row[strong], L.col[strong])), shape=L.shape)
+    return bool(connected_components(graph, directed=False)[0] > laplacian.n_components)
+
+
+def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floats:
+    """Return the errors estimated, raised to what counts leave open where these refute them.
+
+    Parameters
+    ----------
+    laplacian : Laplacian
+        Connected, on n points.
+    values : ndarray of shape (k,)
+        Ritz values, ascending: no eigenvalue is higher.
+    errors : ndarray of shape (k,)
+        How far they are above, as estimated, in the unit of the values.
+
+    Returns
+    -------
+    ndarray of shape (k,)
+        The same, if no count refutes three times as much. Else as many times as counts allow; and
+        from the first on that no multiple explains, what the highest shift leaves open below which
+        few enough eigenvalues were counted.
+
+    Notes
+    -----
+    Estimates know nothing of a mode that the columns lack. By Sylvester's law, the negative pivots
+    of a factor of ``L - sigma M`` are as many as eigenvalues below sigma: if more than j lie below
+    ``values[j] - 3 errors[j]``, the estimate is wrong; if j at most lie below ``values[j] - 30
+    errors[j]``, it is by ten times that at most. Of many modes on many points, only some are
+    held against counts, evenly spread, and speak for those below them.
+    """
+    n, k = laplacian.n, len(values)
+    counts = min(k, _WORK // n)
+    if n > _FEW:
+        if not is_hard(laplacian) or factor_gigabytes(n) > _GIGABYTES:
+            return errors
+        counts = max(counts, 2)
+    off = rounding(laplacian)
+    claims = values - _TIMES[0] * errors - off
+    # Above a mode that is missing, each gap has one more below it; within a cluster none tells.
+    some = np.arange(k)
+    if counts < k:
+        some = np.flatnonzero(claims > np.append(-np.inf, values[:-1]))
+    some = some[np.unique(np.linspace(0, len(some) - 1, counts).round().astype(int))]
+    floors, numbers = [0.0], [0]  # below each floor, so many eigenvalues at most
+    times, shared = np.ones(len(some)), None  # as large as estimated each may be
+    for i, j in enumerate(some):
+        refuted = False
+        for more in _TIMES if np.isfinite(times).all() else _TIMES[:1]:
+            shift = values[j] - more * errors[j] - off
+            if shift <= 0:
+                times[i], refuted = more if more > _TIMES[0] else 1.0, False
+                break
+            A = sparse.csr_array(laplacian.stiffness - shift * sparse.diags_array(laplacian.mass))
+            try:
+                factor = SparseLDL(A, definite=False, elimination=shared)
+            except InvalidInputError:  # a zero pivot: this shift is as good as an eigenvalue
+                continue
+            shared, inertia = factor.elimination, factor.inertia
+            backward = factor.backward_error(laplacian.mass) if inertia.negative > j else 0.0
+            floors.append(shift - backward)
+            numbers.append(inertia.negative + inertia.zero)
+            refuted = inertia.negative > j and shift + backward < values[j]  # by no rounding
+            if inertia.negative <= j:
+                times[i] = more if more > _TIMES[0] else 1.0
+                break
+        if refuted:
+            times[i] = np.inf
+    if (times == 1).all():
+        return errors
+    missing = some[np.isinf(times)].min(initial=k)
+    sound = some[some < missing].max(initial=-1)  # up to here nothing is missing
+    own = np.minimum(np.searchsorted(some, np.arange(k)), len(some) - 1)
+    raised = errors * np.where(np.isfinite(times), times, 1.0)[own]
+    below = np.array(numbers)[:, None] <= np.arange(k)  # none of these is lower than that floor
+    lowest = np.where(below, np.array(floors)[:, None], 0.0).max(axis=0)
+    return np.where(np.arange(k) <= sound, raised, np.maximum(errors, values - lowest))

@@ -1,0 +1,278 @@
+"""Shift-invert Lanczos on sparse factors, exact to rounding: ARPACK, and blocks of our own."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigsh
+
+from spectra_kit._core.checked import checked
+from spectra_kit._core.clock import Clock
+from spectra_kit._core.threads import blas_threads_for
+from spectra_kit._core.validate import check_count, check_positive, quantity
+from spectra_kit._sparse.memory import factor_gigabytes
+from spectra_kit._sparse.shift_invert import shifted_factor
+from spectra_kit._sparse.slicing import MOST, WIDE, sliced_eigenpairs, vectors_held
+from spectra_kit.eigen.base import Eigenpairs, NotConvergedError, Promise
+from spectra_kit.eigen.dense import Dense
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.operators.laplacian import Laplacian
+
+# Lanczos needs a subspace well above k; below this multiple of it the dense solver is as fast.
+_DENSE_RATIO = 3
+# Modes from which on blocks are faster than one vector at a time. For 20 both cost the same, and
+# one vector finds room on any number of points.
+_MANY = 40
+_SHIFT = 0.1  # of the spacing of eigenvalues, below the spectrum
+_FEWEST = 2 * MOST  # points on which blocks have room
+
+
+class _ShiftInvert:
+    """What both have: a tolerance, and LAPACK in their place where they have no room."""
+
+    tol: float
+
+    @property
+    def promise(self) -> Promise:
+        """See `Eigensolver`."""
+        return "to tolerance" if self.tol else "exact"
+
+    def _check(self, seed: int) -> None:
+        check_count("seed", seed, low=0)
+        if not 0 <= self.tol < 1:
+            raise InvalidInputError("tol", "be in [0, 1)", self.tol)
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class Arpack(_ShiftInvert):
+    """ARPACK's Lanczos on a sparse factor, one vector at a time: the reference, for a few modes.
+
+    Where k is more than a third of n, or a cluster stalls one vector on few points, LAPACK solves
+    the dense problem instead, and `Lanczos` on many. ``provenance`` says what ran, and why.
+
+    Parameters
+    ----------
+    tol : float, default 0.0
+        Relative accuracy of the eigenvalues of the shift-inverted operator; 0 is machine precision.
+    shift : float, default 0.1
+        Sigma is -shift * `Laplacian.eigenvalue_spacing`, below the spectrum, and the same for a
+        shape in millimetres or metres, at any resolution.
+    seed : int, default 0
+        Of the start vector: same input and number of threads, same output.
+    max_restarts : int, default 1000
+        Of Lanczos, before giving up.
+
+    Raises
+    ------
+    ConvergenceError
+        (from `eigensolve`) if `max_restarts` did not suffice; ``partial`` holds what converged.
+
+    Notes
+    -----
+    Works on the standard form ``M^1/2 (L - sigma M)^-1 M^1/2``, whose largest eigenvalues are
+    ``1 / (lambda - sigma)``. Lehoucq, Sorensen and Yang, *ARPACK Users' Guide*, 1998.
+
+    Examples
+    --------
+    >>> from spectra_kit import Arpack, eigensolve, robust_laplacian
+    >>> from spectra_kit.geometry import sphere
+    >>> laplacian = robust_laplacian(sphere(subdivisions=3).geometry)
+    >>> eigensolve(laplacian, 4, Arpack()).eigenvalues[1:].round(2)
+    array([2., 2., 2.])
+    """
+
+    tol: float = 0.0
+    shift: float = _SHIFT
+    seed: int = 0
+    max_restarts: int = 1000
+
+    def __post_init__(self) -> None:
+        check_positive("shift", self.shift)
+        check_count("max_restarts", self.max_restarts, low=1)
+        self._check(self.seed)
+
+    def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
+        """See `Eigensolver.eigenpairs`."""
+        if _DENSE_RATIO * k >= laplacian.n:
+            return _crowded(laplacian, k)
+        sigma = -self.shift * laplacian.eigenvalue_spacing
+        clock = Clock()
+        factor = shifted_factor(laplacian.stiffness, laplacian.mass, sigma)
+        clock.stage("factor")
+        # ARPACK takes a Ritz value below eps^(2/3) = 4e-11 for converged when it is so absolutely,
+        # not relatively: in units of the spacing they are all far above that, whatever the input's.
+        # A power of two near the spacing changes no digit.
+        unit = 2.0 ** np.rint(np.log2(laplacian.eigenvalue_spacing))
+        root = np.sqrt(laplacian.mass)
+        inverse = LinearOperator(
+            laplacian.stiffness.shape,
+            matvec=lambda x: unit * root * factor.solve(root * x.ravel()),
+            dtype=np.float64,
+        )
+        v0 = np.random.default_rng(self.seed).standard_normal(laplacian.n)
+        ncv = min(laplacian.n, max(2 * k, k + 20)) if k < _MANY else k + k // 2 + 10
+        try:
+            with blas_threads_for(laplacian.n * ncv):
+                values, vectors = eigsh(
+                    inverse,
+                    k,
+                    which="LA",
+                    v0=v0,
+                    ncv=ncv,
+                    tol=self.tol,
+                    maxiter=self.max_restarts,
+                )
+        except ArpackNoConvergence as error:
+            pairs = Eigenpairs(unit / error.eigenvalues + sigma, error.eigenvectors / root[:, None])
+            raise NotConvergedError(
+                f"ARPACK found {len(error.eigenvalues)} of {quantity(k, 'mode')} in"
+                f" {quantity(self.max_restarts, 'restart')}",
+                pairs,
+                advice=("raise {}", "loosen {}", "use {}"),
+                remedies=("max_restarts", "tol", "Refined"),
+            ) from error
+        except ArpackError:
+            why = "ARPACK finds no shift that it could apply, within a wide cluster"
+            if laplacian.n < _FEWEST:
+                return _densely(laplacian, k, why)
+            blocks = Lanczos(tol=self.tol, seed=self.seed)
+            return blocks.eigenpairs(laplacian, k)._replace(reason=why)
+        clock.stage("lanczos")
+        vectors = vectors / root[:, None]
+        return Eigenpairs(unit / values + sigma, vectors, clock.seconds, solver=self)
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class Lanczos(_ShiftInvert):
+    """Block Lanczos on sparse factors around several shifts: many modes, exact to rounding.
+
+    Spectrum slicing: blocks of vectors are iterated on, around as many shifts as that takes, whose
+    factors count the modes between them. Where k is more than a third of n, and on few points,
+    LAPACK solves the dense problem instead: blocks have no room there.
+
+    Parameters
+    ----------
+    tol : float, default 0.0
+        Relative accuracy of the eigenvalues of the shift-inverted operators; 0 is machine
+        precision. 1e-6 at most, whatever is asked for: with looser residuals, what is found around
+        one shift would not be orthogonal to what is found around the next.
+    seed : int, default 0
+        Of the start vectors: same input, same output.
+    max_shifts : int, default 1000
+        Factors before giving up.
+
+    Raises
+    ------
+    ConvergenceError
+        (from `eigensolve`) if `max_shifts` did not suffice; ``partial`` holds what converged.
+
+    Notes
+    -----
+    See `_sparse.slicing.sliced_eigenpairs`, after Grimes, Lewis and Simon, *A shifted block Lanczos
+    algorithm for solving sparse symmetric generalized eigenproblems*, 1994.
+
+    Examples
+    --------
+    >>> from spectra_kit import Lanczos, eigensolve, robust_laplacian
+    >>> from spectra_kit.geometry import sphere
+    >>> laplacian = robust_laplacian(sphere(subdivisions=4).geometry)
+    >>> eigensolve(laplacian, 60, Lanczos()).eigenvalues[1:4].round(2)
+    array([2., 2., 2.])
+    """
+
+    tol: float = 0.0
+    seed: int = 0
+    max_shifts: int = 1000
+
+    def __post_init__(self) -> None:
+        check_count("max_shifts", self.max_shifts, low=1)
+        self._check(self.seed)
+
+    @staticmethod
+    def memory(n: int, k: int) -> float:
+        """Estimate the memory, in GiB, that k modes on n points of one component take; or `Arpack`.
+
+        Factor, vectors and modes together, the operator not. For components one after the other it
+        is the largest of theirs, and 8 bytes for each number of the modes of the others.
+        """
+        if _DENSE_RATIO * k >= n:
+            return 3 * 8 * n**2 / 2**30  # the matrix, its copy in LAPACK, eigenvectors
+        return factor_gigabytes(n) + 8 * n * vectors_held(k) / 2**30
+
+    def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
+        """See `Eigensolver.eigenpairs`."""
+        if _DENSE_RATIO * k >= laplacian.n:
+            return _crowded(laplacian, k)
+        if laplacian.n < _FEWEST:
+            return _densely(laplacian, k, f"{laplacian.n} points are few")
+        solved = partial(
+            sliced_eigenpairs,
+            laplacian.stiffness,
+            laplacian.mass,
+            k,
+            below=-_SHIFT * laplacian.eigenvalue_spacing,
+            spacing=laplacian.eigenvalue_spacing,
+            tol=self.tol,
+            most_shifts=self.max_shifts,
+            seed=self.seed,
+        )
+        found = solved()
+        seconds = found.seconds
+        if len(found.eigenvalues) < k and found.shifts < self.max_shifts:  # a cluster stops it
+            found = solved(block=WIDE)
+            seconds = dict(Counter(seconds) + Counter(found.seconds))
+        pairs = Eigenpairs(found.eigenvalues, found.eigenvectors, seconds, solver=self)
+        if len(pairs.eigenvalues) == k:
+            return pairs
+        told = (
+            f"Lanczos found {len(pairs.eigenvalues)} of {quantity(k, 'mode')} around"
+            f" {quantity(found.shifts, 'shift')}"
+        )
+        if found.shifts < self.max_shifts:
+            told += "; more equal eigenvalues than it has room for do this"
+            raise NotConvergedError(told, pairs, advice="use {}", remedies=("Dense",))
+        raise NotConvergedError(
+            told, pairs, advice=("raise {}", "use {}"), remedies=("max_shifts", "Refined")
+        )
+
+
+def _crowded(laplacian: Laplacian, k: int) -> Eigenpairs:
+    """Return the modes where they are so many that Lanczos has no room."""
+    if laplacian.n > Dense.max_points:
+        raise InvalidInputError(
+            "k",
+            f"be less than a third of the {laplacian.n} points, where Lanczos has room",
+            k,
+            advice="ask for fewer modes",
+        )
+    return _densely(laplacian, k, f"{laplacian.n} points are few for {quantity(k, 'mode')}")
+
+
+def _densely(laplacian: Laplacian, k: int, reason: str) -> Eigenpairs:
+    """Return what LAPACK finds instead, and say so."""
+    dense = Dense()
+    return dense.eigenpairs(laplacian, k)._replace(solver=dense, reason=reason)
+
+
+def cheapest(n: int, k: int, *, tol: float = 0.0, seed: int = 0) -> Arpack | Lanczos:
+    """Return what is quickest of both: one vector for few modes or points, else blocks."""
+    if k >= _MANY and n >= _FEWEST:
+        return Lanczos(tol=tol, seed=seed)
+    return Arpack(tol=tol, seed=seed)
+
+
+def or_densely(solver: Arpack | Lanczos, laplacian: Laplacian, k: int, reason: str) -> Eigenpairs:
+    """Return what Lanczos finds, or LAPACK where it gives up on few points; says which, and why."""
+    try:
+        pairs = solver.eigenpairs(laplacian, k)
+    except NotConvergedError as error:
+        if laplacian.n > Dense.few:
+            raise
+        why = f"{laplacian.n} points are few, and Lanczos gave up ({error})"
+        return _densely(laplacian, k, why)
+    return pairs._replace(reason=reason) if pairs.solver is solver else pairs

@@ -1,0 +1,587 @@
+"""One call of `eigensolve`: the only caller of a backend, and where its answer is checked."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+from spectra_kit._core.threads import blas_threads_for
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import quantity
+from spectra_kit._core.version import VERSION
+from spectra_kit._sparse.orthonormal import RankError
+from spectra_kit._sparse.ritz import ritz_rotation
+from spectra_kit.eigen.accuracy import (
+    counted_errors,
+    rounding,
+    with_bounds,
+    with_excess,
+)
+from spectra_kit.eigen.base import Eigenpairs, Eigensolver, NotConvergedError
+from spectra_kit.eigen.certificate import Certificate, Provenance
+from spectra_kit.eigen.dense import Dense
+from spectra_kit.eigen.refined import Refined
+from spectra_kit.eigen.spectrum import Spectrum, certificate_of
+from spectra_kit.eigen.subspaces.base import Union
+from spectra_kit.eigen.subspaces.given import GivenBasis, RandomBasis, restricted
+from spectra_kit.eigen.verification import count_modes, verify
+from spectra_kit.errors import (
+    ConvergenceError,
+    InvalidInputError,
+    InvalidSpectrumError,
+    OutOfMemoryError,
+)
+from spectra_kit.operators.laplacian import Laplacian
+
+_ORTHONORMAL = 1e-6  # a spectrum further from M-orthonormal is refused
+_NEGATIVE = 1e-6  # eigenvalues down to -this times the spacing are rounding, and become 0
+_CONSTANT = 1e-6  # modes that span the constant but for this share of it span it, up to rounding
+_ROUNDS = 8  # counts, with a search for what is missing between them; two are enough as a rule
+_BEST = 1e-13  # relative residuals not to ask for less than
+_SMALL = 64  # points of components that are looked at together before any is solved
+_TOGETHER = 2**22  # numbers of their matrices at once
+_ORDINARY = 30  # powers of two from one within which sizes and energies need no other unit
+_NEAR = 10  # modes that complete an exact spectrum may have residuals so many times those it has
+
+
+class Units(NamedTuple):
+    """A length and an energy as powers of two: no digit changes with them."""
+
+    length: int
+    energy: int
+
+    @classmethod
+    def of(cls, laplacian: Laplacian) -> Units:
+        """Return those of an operator; zeros where it is of ordinary size, within 1e9 of one."""
+        length = round(0.5 * float(np.log2(laplacian.mass.max()) + np.log2(laplacian.n)))
+        typical = float(np.median(laplacian.stiffness.diagonal()))  # needles may be far above it
+        energy = round(np.log2(typical)) if typical > 0 else 0
+        return cls(*(0 if abs(power) <= _ORDINARY else power for power in (length, energy)))
+
+    def taken_from(self, laplacian: Laplacian) -> Laplacian:
+        """Return the operator measured in these units."""
+        L = laplacian.stiffness
+        data = np.ldexp(L.data, -self.energy)
+        return replace(
+            laplacian,
+            stiffness=sparse.csr_array((data, L.indices, L.indptr), shape=L.shape),
+            mass=np.ldexp(laplacian.mass, -2 * self.length),
+            points=np.ldexp(laplacian.points, -self.length),
+        )
+
+    def given_to(self, spectrum: Spectrum) -> Spectrum:
+        """Return a spectrum that was computed in these units in those of the operator."""
+        energy = 2.0**self.energy
+        spectrum = spectrum.rescale(2.0**self.length)
+        found = spectrum.certificate
+        return replace(
+            spectrum,
+            eigenvalues=spectrum.eigenvalues * energy,
+            certificate=found
+            and replace(
+                found,
+                residuals=found.residuals * energy,
+                count=found.count and found.count.rescaled(1 / energy),
+            ),
+        )
+
+
+def is_whole(laplacian: Laplacian) -> bool:
+    """Whether this is one component, all of it free, of ordinary size: solved as it is."""
+    return laplacian.n_components == 1 and not len(laplacian.fixed) and not any(Units.of(laplacian))
+
+
+def solve(
+    laplacian: Laplacian,
+    k: int,
+    solver: Eigensolver,
+    begun: Callable[[], Eigenpairs] | None = None,
+) -> Spectrum:
+    """Solve and certify; what warns is left to the caller.
+
+    Of a whole operator (`is_whole`) a function may be `begun` that does what is left to do.
+    """
+    if any(units := Units.of(laplacian)):
+        return _in_units(units, laplacian, k, solver)
+    return _Run(laplacian, k, solver, begun).solved()
+
+
+def _in_units(units: Units, laplacian: Laplacian, k: int, solver: Eigensolver) -> Spectrum:
+    """Solve in units of the shape's own: beyond 1e9 and below 1e-9, squares leave float32."""
+
+    def given(spectrum: Spectrum) -> Spectrum:
+        spectrum = units.given_to(spectrum)
+        provenance = replace(spectrum.provenance, input_hash=_fingerprint(laplacian))
+        return spectrum.described(spectrum.certificate, provenance)
+
+    try:
+        return given(solve(units.taken_from(laplacian), k, solver))
+    except (ConvergenceError, OutOfMemoryError) as error:
+        error.partial = error.partial and given(error.partial)
+        raise
+
+
+class Chosen(NamedTuple):
+    """What solved a component, where a solver chose it."""
+
+    solver: Eigensolver
+    reason: str
+    n: int  #: Points of the component.
+
+
+@dataclass
+class _Run:
+    """One call of `eigensolve`: what is asked for, and what was found so far."""
+
+    laplacian: Laplacian
+    k: int
+    solver: Eigensolver
+    begun: Callable[[], Eigenpairs] | None = None  # in place of the solver, of a whole operator
+    start: float = field(default_factory=time.perf_counter)
+    parts: list[Ints] = field(default_factory=list)  # the points of each component
+    chosen: dict[int, Chosen] = field(default_factory=dict)  # by component, where a solver chose
+    found: dict[int, Eigenpairs] = field(default_factory=dict)  # by component
+    stages: dict[str, float] = field(default_factory=dict)  # wall times, over the components
+    iterations: int | None = None
+
+    def __post_init__(self) -> None:
+        self.name = repr(self.solver)  # before the work: what can't be told must not cost it
+
+    def solved(self) -> Spectrum:
+        """Solve, certify, and complete what is to be exact."""
+        try:
+            pairs = self.components(self.k, self.solver)
+        except NotConvergedError as error:
+            partial = self.rescued()
+            n_converged = 0 if partial is None else partial.k - _open_modes(error, partial)
+            raise ConvergenceError(
+                f"{self.name}: {error}", partial=partial, n_converged=n_converged, **error.advised
+            ) from error
+        except MemoryError as error:
+            traceback.clear_frames(error.__traceback__)  # its arrays make room for what is rescued
+            try:
+                partial = self.rescued()
+            except MemoryError:
+                partial = None
+            raise OutOfMemoryError(
+                f"{self.name}: {self.k} modes on {self.laplacian.n} points do not fit into memory"
+                f" ({error})",
+                advice="ask for fewer, sample fewer points, or take a backend that needs less, such"
+                " as Cascade()",
+                partial=partial,
+            ) from error
+        spectrum = self.packed(pairs)
+        if spectrum.provenance.accuracy in ("exact", "to tolerance"):
+            return self.completed(spectrum)
+        assert spectrum.certificate is not None
+        told = with_bounds(spectrum.certificate, spectrum, self.laplacian)
+        return spectrum.described(told, spectrum.provenance)
+
+    def completed(self, spectrum: Spectrum) -> Spectrum:
+        """Count the eigenvalues, and go on from what was found until none is missing.
+
+        Lanczos from one vector and blocks from a start that lacks something converge to true modes
+        and may pass over others: copies of an eigenvalue, odd modes of a start that is even.
+        """
+        laplacian, k, added, why = self.laplacian, self.k, 0, "use another solver"
+        for seed in range(_ROUNDS):
+            begin = time.perf_counter()
+            count = replace(count_modes(spectrum, laplacian), added=added)
+            self.book("count", time.perf_counter() - begin)
+            assert spectrum.certificate is not None
+            certificate = replace(spectrum.certificate, count=count)
+            provenance = replace(spectrum.provenance, seconds=self.seconds())
+            if not count.missing:
+                told = self.estimated(with_bounds(certificate, spectrum, laplacian), spectrum)
+                return spectrum.described(told, provenance)
+            counted = spectrum.described(certificate, provenance)
+            room = _NEAR if spectrum.provenance.accuracy == "exact" else 1
+            rtol = float(room * spectrum.certificate.relative_residuals.max())
+            basis = Union(
+                GivenBasis(spectrum.eigenvectors), RandomBasis(m=count.missing, seed=seed)
+            )
+            refined = Refined(start=basis, rtol=min(max(rtol, _BEST), 0.1), seed=seed)
+            # More than wanted: what is missing may first come up just above the last one found.
+            wider = min(k + 2 * count.missing, len(laplacian.free))
+            try:
+                pairs = self.components(wider, refined)
+            except (NotConvergedError, MemoryError, InvalidInputError, InvalidSpectrumError) as e:
+                why = str(e) or "out of memory"
+                # The last of them may cut a cluster: enough if those wanted have converged.
+                good = getattr(e, "converged", None)
+                if good is not None and len(self.parts) == 1 and good[:k].all():
+                    pairs = self.merged(k)
+                elif spectrum.provenance.name != "dense" and self.largest <= Dense.few:
+                    pairs = self.densely(k, f"{added or count.missing} passed over, and {why}")
+                else:
+                    break
+            added = max(added, count.missing)
+            spectrum = self.packed(Eigenpairs(pairs.eigenvalues[:k], pairs.eigenvectors[:, :k]))
+        raise ConvergenceError(
+            f"{self.name}: at least {quantity(min(count.missing, k), 'mode')} of the lowest {k}"
+            f" were passed over ({count.reason}), and could not be found: {why}",
+            partial=verify(counted, laplacian),
+            n_converged=k,
+        )
+
+    def estimated(self, certificate: Certificate, spectrum: Spectrum) -> Certificate:
+        """Hold estimates against counts, where the residuals are too large for a count of all."""
+        if certificate.n_verified or certificate.errors is None or len(self.parts) > 1:
+            return certificate
+        unit = np.maximum(spectrum.eigenvalues, self.laplacian.eigenvalue_spacing)
+        errors = counted_errors(self.laplacian, spectrum.eigenvalues, certificate.errors * unit)
+        return replace(certificate, errors=errors / unit)
+
+    def densely(self, k: int, why: str) -> Eigenpairs:
+        """Solve small components by LAPACK, where all else gave up."""
+        dense = Dense()
+        pairs = self.components(k, dense)
+        self.chosen = {i: Chosen(dense, why, len(part)) for i, part in enumerate(self.parts)}
+        return pairs
+
+    @property
+    def largest(self) -> int:
+        """Points of the largest component."""
+        return max(map(len, self.parts))
+
+    def components(self, k: int, solver: Eigensolver) -> Eigenpairs:
+        """Solve each component, merge the k lowest pairs of all, eigenvectors padded with zeros."""
+        laplacian = self.laplacian
+        whole = laplacian.n_components == 1 and not len(laplacian.fixed)
+        parts = self.parts = [laplacian.free] if whole else _component_indices(laplacian)
+        areas = np.array([laplacian.mass[part].sum() for part in parts])
+        # Columns of all parts may have few on one, and need the others.
+        given = getattr(solver, "subspace", None) or getattr(solver, "start", None)
+        most = [k]
+        if not whole:
+            most = _modes_wanted(laplacian, parts, k, all_parts=given is not None).tolist()
+        # Weyl: a component's share of the low modes is about its share of the area.
+        wanted = [
+            min(room, math.ceil(1.1 * k * share) + 6)
+            for room, share in zip(most, areas / areas.sum(), strict=True)
+        ]
+        due = [i for i, room in enumerate(most) if room]
+        lacking: RankError | None = None
+        while due:
+            for i in due:
+                part = laplacian if whole else laplacian.restricted(parts[i])
+                own = solver if whole else restricted(solver, parts[i])
+                try:
+                    self.keep(i, self.connected(part, wanted[i], own))
+                except NotConvergedError as error:
+                    if error.pairs is not None:
+                        self.keep(i, error.pairs)
+                    raise
+                except RankError as error:
+                    if len(parts) == 1 or given is None or promise_of(solver) != "approximate":
+                        raise
+                    lacking, most[i] = error, min(error.rank, wanted[i] - 1)
+                    wanted[i] = most[i]
+                    self.found[i] = self.connected(part, wanted[i], own)
+            values = {i: pairs.eigenvalues for i, pairs in self.found.items()}
+            cut = np.sort(np.concatenate([*values.values()]))[k - 1 : k]
+            # A component whose last mode is below the cut may hold more below it: ask for more.
+            due = [
+                i
+                for i, own_values in values.items()
+                if wanted[i] < most[i] and (not len(cut) or own_values.max() < cut[0])
+            ]
+            for i in due:
+                wanted[i] = min(most[i], 2 * wanted[i])
+        if lacking is not None and not len(cut):
+            raise InvalidInputError(
+                f"the basis of {solver!r} must span at least k = {k} dimensions on all"
+                f" {quantity(len(parts), 'component')} together, got"
+                f" {sum(map(len, values.values()))}",
+                advice="ask for fewer modes or use a larger basis",
+            ) from lacking
+        merged = self.found[0] if whole else self.merged(k)
+        self.found.clear()  # gigabytes, while the merged ones are certified
+        return merged
+
+    def keep(self, i: int, pairs: Eigenpairs) -> None:
+        """Remember what was found of a component, and what was chosen for it."""
+        self.found[i] = pairs
+        if pairs.solver is not None:
+            self.chosen[i] = Chosen(pairs.solver, pairs.reason, len(self.parts[i]))
+
+    def connected(self, laplacian: Laplacian, k: int, solver: Eigensolver) -> Eigenpairs:
+        """Call the backend on one component, check the form of its answer, and sort it."""
+        start = time.perf_counter()
+        if k == 0:
+            return Eigenpairs(np.empty(0), np.empty((laplacian.n, 0)), errors=np.empty(0))
+        if laplacian.n == 1:  # an isolated point: nothing to solve
+            value = laplacian.stiffness.diagonal() / laplacian.mass
+            vector = 1 / np.sqrt(laplacian.mass)[:, None]
+            return Eigenpairs(value, vector, errors=np.zeros(1))
+        try:
+            if self.begun is not None and solver is self.solver:
+                pairs = self.begun()
+            else:
+                pairs = Eigenpairs(*solver.eigenpairs(laplacian, k))
+        except NotConvergedError as error:
+            nothing = Eigenpairs(np.empty(0), np.empty((laplacian.n, 0)))
+            self.count(error.pairs or nothing, time.perf_counter() - start)
+            raise
+        pairs = _of_checked_form(pairs, solver, (laplacian.n, k))
+        self.count(pairs, time.perf_counter() - start)
+        if pairs.eigenvalues.min() < -max(
+            _NEGATIVE * laplacian.eigenvalue_spacing, rounding(laplacian)
+        ):
+            raise InvalidSpectrumError(
+                f"{solver!r} returned a negative eigenvalue ({pairs.eigenvalues.min():.3e})",
+                advice="is the stiffness positive semi-definite? (Where entries spread over many"
+                " decades, so does rounding.)",
+            )
+        return _sorted(_with_exact_constant(laplacian, _sorted(pairs)))
+
+    def merged(self, k: int) -> Eigenpairs:
+        """Return the k lowest pairs (or all there are) of the components solved, on all points."""
+        n, pairs = self.laplacian.n, list(self.found.values())
+        parts = [self.parts[i] for i in self.found]
+        if not pairs:
+            return Eigenpairs(np.empty(0), np.empty((n, 0)))
+        values = np.concatenate([p.eigenvalues for p in pairs])
+        owner = np.repeat(np.arange(len(pairs)), [len(p.eigenvalues) for p in pairs])
+        column = np.concatenate([np.arange(len(p.eigenvalues)) for p in pairs])
+        lowest = np.lexsort((column, values))[:k]  # where values are equal, constants come first
+        vectors = np.zeros((n, len(lowest)))
+        for j, source in enumerate(lowest):
+            part = owner[source]
+            vectors[parts[part], j] = pairs[part].eigenvectors[:, column[source]]
+        told = [p.errors for p in pairs]
+        if self.promise == "approximate":  # beside such components, those chosen to be exact
+            told = [
+                np.zeros(len(p.eigenvalues))
+                if own is None and p.solver is not None and promise_of(p.solver) != "approximate"
+                else own
+                for p, own in zip(pairs, told, strict=True)
+            ]
+        known = [own for own in told if own is not None]
+        errors = np.concatenate(known)[lowest] if len(known) == len(pairs) else None
+        return Eigenpairs(values[lowest], vectors, errors=errors)
+
+    def rescued(self) -> Spectrum | None:
+        """Certify what was solved before a failure, if anything was."""
+        pairs = self.merged(self.k)
+        return self.packed(pairs) if len(pairs.eigenvalues) else None
+
+    def packed(self, pairs: Eigenpairs) -> Spectrum:
+        """Check and certify `pairs`, and say where they come from."""
+        begin, laplacian = time.perf_counter(), self.laplacian
+        pairs = _sorted(pairs)
+        spectrum = Spectrum(pairs.eigenvalues, pairs.eigenvectors, laplacian.mass)
+        certificate = certificate_of(spectrum, laplacian)
+        if (error := certificate.orthonormality_error) > _ORTHONORMAL:
+            raise InvalidSpectrumError(
+                f"{self.name} returned modes that are not M-orthonormal: |U^T M U - I| is"
+                f" {error:.2e}"
+            )
+        certificate = with_excess(replace(certificate, errors=pairs.errors), spectrum, laplacian)
+        self.book("certify", time.perf_counter() - begin)
+        solver, reason = self.solver_of_most()
+        provenance = Provenance(
+            solver=self.name if solver is self.solver else repr(solver),
+            operator=laplacian.operator,
+            seed=None if (seed := getattr(solver, "seed", None)) is None else int(seed),
+            seconds=self.seconds(),
+            input_hash=_fingerprint(laplacian),
+            version=VERSION,
+            iterations=self.iterations,
+            accuracy=self.promise,
+            name=_name_of(solver),
+            reason=reason,
+        )
+        return spectrum.described(certificate, provenance)
+
+    @property
+    def promise(self) -> str:
+        """What holds of all components."""
+        promises = {promise_of(one.solver) for one in self.chosen.values()}
+        weakest = [p for p in ("approximate", "to tolerance", "exact") if p in promises]
+        return weakest[0] if weakest else promise_of(self.solver)
+
+    def solver_of_most(self) -> tuple[Eigensolver, str]:
+        """Return what solved the largest component, and why it was chosen."""
+        if not self.chosen:
+            return self.solver, ""
+        solver, reason, _ = max(self.chosen.values(), key=lambda one: one.n)
+        names = Counter(_name_of(one.solver) for one in self.chosen.values())
+        others = [f"{m} by {name}" for name, m in names.items() if name != _name_of(solver)]
+        if others:
+            told = f"of {len(self.chosen)} components, {' and '.join(others)}"
+            reason = f"{reason}; {told}" if reason else told
+        return solver, reason
+
+    def book(self, stage: str, seconds: float) -> None:
+        """Add wall time to a stage."""
+        self.stages[stage] = self.stages.get(stage, 0.0) + seconds
+
+    def count(self, pairs: Eigenpairs, seconds: float) -> None:
+        """Count one component, which took so many `seconds` where its solver does not say."""
+        for stage, spent in (pairs.seconds or {"solve": seconds}).items():
+            self.book(stage, spent)
+        if pairs.iterations is not None:
+            self.iterations = (self.iterations or 0) + pairs.iterations
+
+    def seconds(self) -> dict[str, float]:
+        """Wall time by stage, what is in none of them included."""
+        other = time.perf_counter() - self.start - sum(self.stages.values())
+        return {"assembly": self.laplacian.seconds, **self.stages, "other": max(other, 0.0)}
+
+
+def promise_of(solver: Eigensolver) -> str:
+    """Return what a solver goes on for; nothing where it does not say."""
+    return str(getattr(solver, "promise", ""))
+
+
+def _name_of(solver: Eigensolver) -> str:
+    return str(getattr(solver, "name", type(solver).__name__.lower()))
+
+
+def _of_checked_form(pairs: Eigenpairs, solver: Eigensolver, shape: tuple[int, int]) -> Eigenpairs:
+    """Return the pairs as arrays; refuse what has another shape or no real numbers."""
+    n, k = shape
+    values, vectors = np.asarray(pairs.eigenvalues), np.asarray(pairs.eigenvectors)
+    if values.shape != (k,) or vectors.shape != shape:
+        raise InvalidSpectrumError(
+            f"{solver!r} must return shapes ({k},) and ({n}, {k}),"
+            f" got {values.shape} and {vectors.shape}"
+        )
+    if pairs.errors is not None and np.shape(pairs.errors) != (k,):
+        raise InvalidSpectrumError(
+            f"{solver!r} must return errors of shape ({k},), got {np.shape(pairs.errors)}"
+        )
+    if values.dtype.kind not in "fiu" or vectors.dtype.kind not in "fiu":
+        raise InvalidSpectrumError(
+            f"{solver!r} must return real numbers, got {values.dtype} and {vectors.dtype}"
+        )
+    return pairs._replace(eigenvalues=values, eigenvectors=vectors)
+
+
+def _sorted(pairs: Eigenpairs) -> Eigenpairs:
+    """Return the pairs ascending and none negative, eigenvectors without a copy where they are."""
+    values, vectors, errors = pairs.eigenvalues, pairs.eigenvectors, pairs.errors
+    order = np.argsort(values, kind="stable")
+    if not np.array_equal(order, np.arange(len(order))):
+        vectors = vectors[:, order]
+    return pairs._replace(
+        eigenvalues=np.maximum(values[order], 0.0),
+        eigenvectors=vectors,
+        errors=None if errors is None else np.asarray(errors)[order],
+    )
+
+
+def _modes_wanted(laplacian: Laplacian, parts: list[Ints], k: int, *, all_parts: bool) -> Ints:
+    """Return how many modes of each component may be among the k lowest of all, at most.
+
+    Where constants alone are as many, they are the lowest, one of each component; the first ones
+    are taken, as of all that are equal. Otherwise, unless `all_parts` are to be solved, the
+    eigenvalues of small ones tell which of them have nothing below the k-th lowest that is known.
+    """
+    constant = laplacian.constant_components
+    if constant.sum() >= k:
+        return np.where(constant & (constant.cumsum() <= k), 1, 0)
+    most = np.array([min(len(part), k) for part in parts])
+    if all_parts or len(parts) == 1:
+        return most
+    known = [np.zeros(1) if own else np.empty(0) for own in constant]  # from below
+    others = np.zeros(len(parts))  # the lowest that is not the constant's, less a margin
+    for rows, values, margin in _small_components(laplacian, parts):
+        for i, own, off in zip(rows, values, margin, strict=True):
+            rest = own[1:] if constant[i] else own
+            known[i] = np.append(known[i], rest + off)
+            others[i] = rest.min(initial=np.inf) - off
+    lowest = np.sort(np.concatenate(known))
+    if len(lowest) >= k:
+        above = others > lowest[k - 1]
+        most[above] = constant[above]
+    return most
+
+
+def _small_components(
+    laplacian: Laplacian, parts: list[Ints]
+) -> Iterator[tuple[Ints, Floats, Floats]]:
+    """Yield which components are of one small size, their eigenvalues, and what rounding is below.
+
+    Together, for a call costs more than such a problem.
+    """
+    sizes = np.array([len(part) for part in parts])
+    place, root = np.empty(laplacian.n, dtype=np.int64), np.sqrt(laplacian.mass)
+    for size in np.unique(sizes[sizes <= _SMALL]):
+        some = np.flatnonzero(sizes == size)
+        for rows in np.array_split(some, math.ceil(len(some) * size**2 / _TOGETHER)):
+            points = np.concatenate([parts[i] for i in rows])
+            place[points] = np.arange(len(points))
+            entries = sparse.coo_array(laplacian.stiffness[points])
+            owner, column = entries.row // size, entries.col
+            inside = laplacian.component_labels[column] == rows[owner]
+            row, owner, column = entries.row[inside], owner[inside], column[inside]
+            stack = np.zeros((len(rows), size, size))
+            stack[owner, row % size, place[column] % size] = (
+                entries.data[inside] / root[points[row]] / root[column]
+            )
+            values = np.linalg.eigvalsh(stack)
+            yield rows, values, _NEGATIVE * np.abs(stack).max(axis=(1, 2))
+
+
+def _component_indices(laplacian: Laplacian) -> list[Ints]:
+    """Return the free points of each component, ascending."""
+    labels = laplacian.component_labels
+    order = np.argsort(labels, kind="stable")[len(laplacian.fixed) :]
+    return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
+
+
+def _open_modes(error: NotConvergedError, partial: Spectrum) -> int:
+    """How many of the modes rescued are among those that had not converged."""
+    if error.pairs is None or error.converged is None:
+        return 0
+    values = np.asarray(error.pairs.eigenvalues)[~error.converged]
+    return int((values <= partial.eigenvalues[-1]).sum())
+
+
+def _with_exact_constant(laplacian: Laplacian, pairs: Eigenpairs) -> Eigenpairs:
+    """Take the rounding out of the zero mode of a connected Neumann operator.
+
+    Its error is relative to the largest eigenvalue, which beside a much larger component would
+    make it look like a mode of its own. Where further eigenvalues are as good as zero, rounding
+    mixes their modes with the constant: these are turned until one of them is the constant, the
+    others solved for once more.
+    """
+    constant = 1 / np.sqrt(laplacian.area)
+    with blas_threads_for(pairs.eigenvectors.size):
+        cosines = constant * (laplacian.mass @ pairs.eigenvectors)
+    if not laplacian.kernel_dimension or not abs(cosines @ cosines - 1) <= _CONSTANT:
+        return pairs
+    near = np.abs(cosines) >= min(_CONSTANT, np.abs(cosines).max())
+    values, vectors = pairs.eigenvalues.copy(), pairs.eigenvectors - constant * cosines
+    # The first axis goes to the constant, the others span what else these modes span.
+    axes = np.linalg.qr(cosines[near, None], mode="complete")[0]
+    others = ritz_rotation(laplacian.stiffness, laplacian.mass, vectors[:, near] @ axes[:, 1:])
+    values[near] = np.append(-1.0, others[0])  # the constant comes first
+    vectors[:, near] = np.column_stack([np.full(laplacian.n, constant), others[1]])
+    errors = pairs.errors
+    if errors is not None:  # each of the others may be as far off as any that it is made of
+        errors = np.array(errors)
+        errors[near] = np.append(0.0, np.full(len(others[0]), errors[near].max()))
+    return pairs._replace(eigenvalues=values, eigenvectors=vectors, errors=errors)
+
+
+def _fingerprint(laplacian: Laplacian) -> str:
+    """Return a hash of all that defines the eigenproblem."""
+    digest = hashlib.blake2b(digest_size=16)
+    L = laplacian.stiffness
+    for integers in (L.indptr, L.indices, laplacian.fixed):  # whatever width scipy chose for them
+        digest.update(np.ascontiguousarray(integers, dtype=np.int64).data)
+    for floats in (L.data, laplacian.mass, laplacian.points):
+        digest.update(np.ascontiguousarray(floats).data)
+    return digest.hexdigest()

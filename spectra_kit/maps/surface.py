@@ -1,0 +1,190 @@
+"""A surface at unit area, without its modes: which side is out, its edges, what maps should keep.
+
+How far apart points lie along a surface is what maps between unlike bodies keep best: a leg may be
+twice as thick in one species as in another, and none of its modes alike; but the way from paw to
+paw, or to the tip of the tail, is much the same share of the whole. Bending keeps handles and rims,
+too; and smoothed mean curvature tells the front of a limb from its back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components, dijkstra
+
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import Rebuilt
+from spectra_kit.eigen import Spectrum
+from spectra_kit.geometry import TriangleMesh
+from spectra_kit.operators.oriented import OrientedTriangles
+
+_SHORT = 0.05  # lengths below that, of surfaces at unit area, say little
+_FAR = 6.0  # times their distance: surfaces of different kinds stretch less almost everywhere
+_GAPS = 6  # between eigenvalues
+_EQUAL = 2e-3  # relative difference of eigenvalues that coarse meshes make of equal ones
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Surface(Rebuilt):
+    """A mesh or cloud in the unit frame: scaled to area 1, with the side that is out."""
+
+    points: Floats  # (n, 3)
+    mass: Floats  # (n,), of the spectrum
+    oriented: OrientedTriangles
+
+    @cached_property
+    def mesh(self) -> TriangleMesh:
+        """The triangles as a mesh; of a cloud, those around its points."""
+        return TriangleMesh(self.points, self.oriented.faces)
+
+    @property
+    def edges(self) -> Ints:
+        """The edges of the triangles, (e, 2)."""
+        return self.mesh.unique_edges[0]
+
+    @property
+    def is_mesh(self) -> bool:
+        """Whether these are triangles of a mesh, not of a cloud or images of dense ones."""
+        return bool((self.oriented.weights == 1).all())
+
+    def reflected(self) -> Surface:
+        """Return the surface as a mirror shows it."""
+        return Surface(
+            points=self.points * [-1.0, 1.0, 1.0],
+            mass=self.mass,
+            oriented=self.oriented.reversed(),
+        )
+
+    def lengths_from(self, points: Ints) -> Floats:
+        """Return the lengths of the shortest ways along edges from some points to all, (p, n).
+
+        What no way leads to, as single points of a cloud, counts as the farthest.
+        """
+        edges, n = self.edges, len(self.points)
+        weights = lengths_of(self.points, edges)
+        graph = sparse.csr_array((weights, (edges[:, 0], edges[:, 1])), shape=(n, n))
+        ways = dijkstra(graph, directed=False, indices=points)
+        out: Floats = np.minimum(ways, ways[np.isfinite(ways)].max())
+        return out
+
+    @cached_property
+    def spacing(self) -> float:
+        """Mean length of an edge."""
+        return float(lengths_of(self.points, self.edges).mean())
+
+
+def lengths_of(points: Floats, edges: Ints) -> Floats:
+    """Return the lengths of edges (e, 2) between points (n, 3)."""
+    out: Floats = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+    return out
+
+
+def changed(source: Floats, target: Floats, back: Ints, forth: Ints) -> float:
+    """Return the mean relative difference of lengths that a map carries over, in [0, 1].
+
+    Of p points of the source, (p, n1), and q of the target, (q, n2): `back` are the source points
+    of the latter, `forth` the target points of the former. Both lengths join a point of the one and
+    a point of the other, seen from either side.
+    """
+    here, there = source[:, back], target[:, forth].T
+    return float((np.abs(here - there) / (here + there + _SHORT)).mean())
+
+
+def discontinuity(source: Surface, target: Surface, point_map: Ints) -> float:
+    """Return the share of a target's edges whose ends lead far apart, in [0, 1].
+
+    Far is more than six times the length of the edge, or that of an average edge of the source if
+    that is longer: no map to vertices can do better. Where two maps look alike in all modes, the
+    wrong one is torn, as it leads from a leg to the tail and back.
+    """
+    edges = target.edges
+    long = np.maximum(lengths_of(target.points, edges), source.spacing)
+    return float((lengths_of(source.points, point_map[edges]) > _FAR * long).mean())
+
+
+def outward_normals(points: Floats, oriented: OrientedTriangles) -> Floats:
+    """Return unit normals at the points, (n, 3): of the triangles around, weighted by area.
+
+    Zero where no triangle is, or where the triangles around cancel.
+    """
+    i, j, k = oriented.faces.T
+    across = np.cross(points[j] - points[i], points[k] - points[i]) * oriented.weights[:, None]
+    sums = np.column_stack(
+        [
+            np.bincount(oriented.faces.ravel(), np.repeat(across[:, r], 3), minlength=len(points))
+            for r in range(3)
+        ]
+    )
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    out: Floats = np.divide(sums, lengths, out=np.zeros_like(sums), where=lengths > 0)
+    return out
+
+
+def smoothed_mean_curvature(
+    spectrum: Spectrum, points: Floats, oriented: OrientedTriangles, modes: tuple[int, ...]
+) -> Floats:
+    """Return twice the signed mean curvature of the surface, smoothed by a short heat flow.
+
+    In 1/length, positive where the surface is convex; a column for each of `modes`, with heat that
+    flows for the time 1 / lambda of that mode. The mean curvature normal is the Laplacian of the
+    coordinates, ``2 H n = L x``; with the heat flow, ``n . U diag(lambda exp(-t lambda)) U^T M x``.
+    Bending a surface changes it at the bends only. It does not see reflections.
+    """
+    normals = outward_normals(points, oriented)
+    coefficients = spectrum.project(points)
+    out = np.empty((spectrum.n, len(modes)))
+    for c, mode in enumerate(modes):
+        gain = spectrum.eigenvalues * np.exp(-spectrum.eigenvalues / spectrum.eigenvalues[mode])
+        smooth = spectrum.eigenvectors @ (gain[:, None] * coefficients)
+        out[:, c] = np.einsum("nr,nr->n", smooth, normals)
+    return out
+
+
+class Topology(NamedTuple):
+    """Of one connected surface at unit area."""
+
+    genus: int | None  # handles, once its holes are closed; None of a cloud, or if not a surface
+    rim: float  # around its holes: 0 of a closed surface, and of a cloud
+
+
+def topology_of(surface: Surface) -> Topology:
+    """Return the genus and the rim of a mesh.
+
+    ``2 - 2 g`` is the number of vertices less that of edges and more that of triangles, once each
+    loop of the border is closed by a disc: holes of a scan are no handles. The rim is as long as
+    that of the one round hole that leaves out as much as round ones of those lengths do together:
+    its square is the sum of theirs, as many small holes are no cut.
+    """
+    if not surface.is_mesh:
+        return Topology(None, 0.0)
+    faces, n = surface.oriented.faces, len(surface.points)
+    edges, uses = surface.mesh.unique_edges
+    border = edges[uses == 1]
+    graph = sparse.coo_array((np.ones(len(border)), border.T), shape=(n, n))
+    hole = connected_components(graph, directed=False)[1][border[:, 0]]
+    around = np.bincount(hole, lengths_of(surface.points, border), minlength=1)
+    rim = float(np.linalg.norm(around))
+    met = np.bincount(border.ravel(), minlength=n)
+    if uses.max() > 2 or not np.isin(met, (0, 2)).all():
+        return Topology(None, rim)
+    euler = len(np.unique(faces)) - len(edges) + len(faces) + int(np.count_nonzero(around))
+    return Topology((2 - euler) // 2 if euler % 2 == 0 else None, rim)
+
+
+def clustered(eigenvalues: Floats) -> float:
+    """Return how much closer than by chance the lowest eigenvalues lie: about 1 by chance.
+
+    Of a surface with more symmetries than two halves that are alike, and of one that is nearly so,
+    eigenvalues come in twos, threes and more. By chance the i-th and the next differ by a factor
+    whose logarithm is exponential with mean 1 / i (Weyl's law); the result is the mean over the
+    lowest six of minus the logarithm of how likely that is to be so small. Bodies and animals have
+    0.5 to 1.2, round shapes 1.8 and more.
+    """
+    lowest = eigenvalues[1 : _GAPS + 2]
+    i = np.arange(1, len(lowest))
+    gaps = np.maximum(np.diff(np.log(lowest)), _EQUAL)
+    return float(-np.log(-np.expm1(-i * gaps)).mean())

@@ -1,0 +1,206 @@
+"""Sets by name, and one body in six triangulations."""
+
+import numpy as np
+import pytest
+from conftest import bumpy, creature, refused
+from studies.matching.protocols import Protocol, make_protocol
+from studies.matching.sets import USUAL, PairSet, pair_sets, triangulated_sets
+from studies.matching.subjects import LACKING, Subject, demo_subjects, truth_between
+from studies.matching.triangulations import TRIANGULATIONS, finer, rounding, triangulated
+
+from spectra_kit import TriangleMesh
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import PointCloud, components, torus
+
+# --- sets by name ---
+
+
+@pytest.fixture
+def data(tmp_path, monkeypatch):
+    """A folder of data with the sets whose protocols are known, and another."""
+    mesh = bumpy()
+    for name in (*USUAL, "own"):
+        (tmp_path / name).mkdir()
+        for subject in ("cat0", "cat1", "dog-2_x"):
+            np.savez(tmp_path / name / f"{subject}.npz", V=mesh.points, F=mesh.faces, corres=[0, 1])
+    monkeypatch.setenv("SPECTRA_KIT_DATA", str(tmp_path))
+    return tmp_path
+
+
+def test_every_set_has_its_usual_pairs(data):
+    found = {one.name: one for one in pair_sets([*USUAL, data / "own"])}
+    assert {name: one.protocol.name for name, one in found.items()} == {**USUAL, "own": "random"}
+    assert len(found["smal_r"].protocol.pairs) == 6
+    assert found["tosca_r"].protocol.pairs == (("cat0", "cat1"), ("cat1", "cat0"))
+    assert list(found["tosca_r"].subjects) == ["cat0", "cat1"]  # no other is read again
+    [few] = pair_sets(["smal_r"], protocol="random", count=2, seed=1)
+    drawn = make_protocol("random", found["smal_r"].subjects.values(), count=2, seed=1)
+    assert few.protocol == drawn
+    [cats] = pair_sets(["smal_r"], only=["cat"])
+    assert set(cats.subjects) == {"cat0", "cat1"}
+
+
+def test_sets_that_are_not_there(data, monkeypatch):
+    unknown = "be folders, or names of sets in SPECTRA_KIT_DATA"
+    for argument, expected, call in (
+        ("data", unknown, lambda: pair_sets(["smal_q"])),
+        ("data", "have names of their own", lambda: pair_sets(["smal_r", data / "smal_r"])),
+        (
+            "protocol",
+            "be another one for smal_r, whose names tell no classes",
+            lambda: pair_sets(["smal_r"], protocol="same-class"),
+        ),
+    ):
+        refused(argument, expected, call)
+    monkeypatch.delenv("SPECTRA_KIT_DATA")
+    refused("data", unknown, pair_sets, ["smal_r"])
+
+
+# --- six triangulations ---
+
+
+@pytest.fixture(scope="module")
+def animal():
+    mesh = creature(1500)
+    return Subject(
+        "animal", mesh, np.arange(0, mesh.n, 3), np.arange(1, mesh.n, 3)[: -(-mesh.n // 3)]
+    )
+
+
+@pytest.fixture(scope="module")
+def made(animal):
+    return {kind: triangulated(animal, kind, seed=3) for kind in TRIANGULATIONS}
+
+
+def test_they_are_one_surface_with_its_landmarks(animal, made):
+    edge = np.sqrt(animal.mesh.area / animal.mesh.n)
+    for kind, subject in made.items():
+        there = subject.landmarks != LACKING
+        assert there.mean() > 0.9, kind
+        apart = np.linalg.norm(
+            animal.geometry.points[animal.landmarks[there]]
+            - subject.geometry.points[subject.landmarks[there]],
+            axis=1,
+        )
+        assert apart.mean() < edge, kind
+        assert rounding(animal, subject) == pytest.approx(
+            100 * apart.mean() / np.sqrt(animal.mesh.area)
+        )
+        if kind != "cloud":
+            assert len(components(subject.mesh)) == 1
+            assert subject.mesh.area == pytest.approx(animal.mesh.area, rel=0.06)
+    assert rounding(animal, made["isotropic"]) == 0
+
+
+def test_landmarks_of_what_is_cut_off_are_lost(animal, monkeypatch):
+    low = animal.mesh.points[:, 2].min() + 0.3 * np.ptp(animal.mesh.points[:, 2])
+
+    def cut(mesh, rng):
+        kept = mesh.faces[(mesh.points[mesh.faces][:, :, 2] > low).all(axis=1)]
+        return TriangleMesh(mesh.points, kept).without_unreferenced()
+
+    monkeypatch.setitem(TRIANGULATIONS, "cut", cut)
+    made = triangulated(animal, "cut")
+    far = animal.mesh.points[animal.landmarks, 2] < low - np.sqrt(animal.mesh.area / animal.mesh.n)
+    assert far.any()
+    assert (made.landmarks[far] == LACKING).all()
+    truth = truth_between(animal, made)
+    both = made.landmarks != LACKING
+    np.testing.assert_array_equal(truth.source, animal.landmarks[both])
+    np.testing.assert_array_equal(truth.symmetric, animal.mirrored[both])
+    back = truth_between(made, animal)  # where the mirror image is lost, the landmark is, too
+    assert len(back.source) == (both & (made.mirrored != LACKING)).sum()
+    assert (back.symmetric >= 0).all()
+
+
+def slenderness(mesh):
+    """Longest side over the height upon it, of the triangles: 1.15 if they are equilateral."""
+    a, b, c = mesh.points[mesh.faces].transpose(1, 0, 2)
+    longest = np.max([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
+    return longest / (2 * mesh.face_areas)
+
+
+def test_each_is_what_it_says(animal, made):
+    n = animal.mesh.n
+    assert made["isotropic"].mesh is animal.mesh
+    assert np.percentile(slenderness(made["marching cubes"].mesh), 99) > 20  # slivers
+    areas = made["quadric"].mesh.face_areas  # large ones where it is flat
+    assert np.ptp(np.log(np.percentile(areas, (5, 95)))) > np.ptp(
+        np.log(np.percentile(animal.mesh.face_areas, (5, 95)))
+    )
+    for kind in ("anisotropic", "quadric"):
+        assert made[kind].mesh.n == pytest.approx(n, abs=2)
+    assert len(made["dense"].mesh.faces) == 4 * len(animal.mesh.faces)
+    assert isinstance(made["cloud"].geometry, PointCloud)
+    assert made["cloud"].geometry.n == n
+
+
+def along_over_across(mesh):
+    """Mean length of edges along the ring of a torus over that across."""
+    a, b = mesh.points[mesh.unique_edges[0]].transpose(1, 0, 2)
+    ring = np.cross([0.0, 0.0, 1.0], (a + b) / 2)
+    along = ((b - a) * ring / np.linalg.norm(ring, axis=1, keepdims=True)).sum(axis=1)
+    across = np.sqrt(np.maximum(((b - a) ** 2).sum(axis=1) - along**2, 0))
+    return np.abs(along).mean() / across.mean()
+
+
+def test_anisotropic_triangles_are_long_where_a_tube_is_straight():
+    minor = 0.2
+    tube = torus(n=2000, major=1.0, minor=minor).geometry
+    turn = 0.1 * np.sqrt(tube.area)  # the metric of positions and normals is 1 + (turn k)^2
+    expected = np.sqrt((1 + (turn / minor) ** 2) / (1 + turn**2))
+    made = TRIANGULATIONS["anisotropic"](tube, np.random.default_rng(0))
+    assert expected > 1.6
+    assert along_over_across(made) == pytest.approx(expected, rel=0.1)
+
+
+def test_finer_is_the_same_surface_with_its_vertices(animal):
+    made = finer(animal.mesh, 10_000)
+    assert 10_000 <= made.n < 20_000
+    np.testing.assert_allclose(made.points[: animal.mesh.n], animal.mesh.points, rtol=1e-6)
+    assert made.area == pytest.approx(animal.mesh.area, rel=1e-6)
+    edges, uses = np.unique(
+        np.sort(made.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)), axis=0, return_counts=True
+    )
+    assert (uses == 2).all()
+    assert made.n - len(edges) + len(made.faces) == 2  # a sphere, as the animal is
+
+
+def test_the_seed_decides(animal, made):
+    same, other = (triangulated(animal, "cloud", seed=seed) for seed in (3, 4))
+    assert same.digest == made["cloud"].digest != other.digest
+
+
+def ring(name):
+    """A torus so thin that marching cubes of its size fill the hole."""
+    mesh = torus(n=200, major=1.0, minor=0.98).geometry
+    assert isinstance(mesh, TriangleMesh)
+    return Subject(name, mesh, [0])
+
+
+def test_pairs_come_in_all_triangulations(animal):
+    subjects = {**demo_subjects(600, poses=2), "ring": ring("ring")}
+    pairs = (("creature0", "ring"), ("creature0", "creature1"), ("creature1", "creature0"))
+    zoo = PairSet("zoo", subjects, Protocol("random", pairs))
+    sets = triangulated_sets(zoo, count=1)
+    assert [one.name for one in sets] == [
+        f"zoo-{kind.replace(' ', '_')}" for kind in TRIANGULATIONS
+    ]
+    assert {one.against for one in sets} == {"zoo-isotropic"}
+    for one in sets:
+        [(source, target)] = one.protocol.pairs  # the ring is passed over
+        assert source == "creature0"
+        assert target == one.name.replace("zoo", "creature1")
+        assert set(one.subjects) == {source, target}
+        assert one.note.endswith("as marching cubes change their topology: ring")
+    assert "0.00 away" in sets[0].note
+
+
+def test_a_surface_that_grows_together_is_refused():
+    with pytest.raises(InvalidInputError, match="`mesh` must keep its topology in marching cubes"):
+        triangulated(ring("ring"), "marching cubes")
+    rings = PairSet("rings", {"a": ring("a")}, Protocol("random", (("b", "a"),)))
+    refused(
+        "pairs", "hold a target that keeps its topology", lambda: triangulated_sets(rings, count=1)
+    )
+    refused("count", "be at least 1", lambda: triangulated_sets(rings, count=0))

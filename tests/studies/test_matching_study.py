@@ -1,0 +1,502 @@
+"""The study of matching: data, protocols, measurements, memory, report and app."""
+
+import csv
+import json
+from dataclasses import replace
+
+import match_collection
+import match_faust as app
+import numpy as np
+import pytest
+from conftest import bumpy, creature, refused
+from studies.matching import methods, pyfm_peer, sets
+from studies.matching.measures import THRESHOLDS, best_candidate, measure_map
+from studies.matching.methods import METHODS, Entry, Outcome, Side
+from studies.matching.pairs import BACKENDS, KINDS, Pair, Pairs, Spectra, match_all, ways
+from studies.matching.protocols import Protocol, make_protocol
+from studies.matching.report import Matched, summarize, write_report
+from studies.matching.sets import PairSet
+from studies.matching.subjects import Subject, demo_subjects, subjects_in, truth_between
+from studies.study import Result
+
+from spectra_kit import TriangleMesh, eigensolve, robust_laplacian
+from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
+from spectra_kit.geometry import permuted
+from spectra_kit.maps import functional_map_from_point_map, geodesic_errors, inverse_map
+
+K = 40
+PAIR, PLAIN = Pair("creature0", "creature1"), "wks-zoomout"
+
+
+@pytest.fixture(scope="module")
+def subjects():
+    return demo_subjects(500, poses=3)
+
+
+@pytest.fixture
+def study(subjects, tmp_path):
+    """Return a function that makes the study of some pairs, by the plain method on meshes."""
+
+    def pairs_of(*pairs, k=K, subjects=subjects, chosen=None, **options):
+        chosen = ways(methods=[PLAIN]) if chosen is None else chosen
+        bases = list(dict.fromkeys(way.basis for way in chosen))
+        spectra = Spectra(
+            folder=tmp_path, contenders=bases, problems=list(subjects), subjects=subjects, k=k
+        )
+        return Pairs(
+            folder=tmp_path,
+            contenders=chosen,
+            problems=pairs or (PAIR,),
+            spectra=spectra,
+            **options,
+        )
+
+    return pairs_of
+
+
+# --- subjects and protocols ---
+
+
+def write_subject(path, mesh, **arrays):
+    np.savez(path, V=mesh.points.astype(np.float32), F=mesh.faces.astype(np.int32), **arrays)
+
+
+def test_a_folder_of_subjects(tmp_path):
+    mesh = bumpy()
+    write_subject(tmp_path / "cat10.npz", mesh, corres=[3, 1], corres_sym=[1, 3])
+    write_subject(tmp_path / "cat2.npz", mesh, corres=[5, 6])
+    write_subject(tmp_path / "other.npz", mesh)  # no landmarks: no subject
+    (tmp_path / "notes.txt").write_text("no mesh")
+    found = subjects_in(tmp_path)
+    assert list(found) == ["cat10", "cat2"]
+    assert {subject.species for subject in found.values()} == {"cat"}
+    truth = truth_between(found["cat10"], found["cat2"])
+    np.testing.assert_array_equal(truth.source, [3, 1])
+    np.testing.assert_array_equal(truth.target, [5, 6])
+    np.testing.assert_array_equal(truth.symmetric, [1, 3])
+    assert truth_between(found["cat2"], found["cat10"]).symmetric is None
+
+
+def test_mirror_images_that_are_the_landmarks_are_none(tmp_path):
+    write_subject(tmp_path / "mesh052.npz", bumpy(), corres=[3, 1], corres_sym=[3, 1])
+    [found] = subjects_in(tmp_path).values()
+    assert found.mirrored is None
+
+
+def test_errors_are_measured_along_meshes_alone():
+    subject = Subject("a", bumpy().as_cloud(), [0, 1])
+    assert subject.digest != Subject("a", bumpy(), [0, 1]).digest
+    refused("a", "be a mesh, to measure distances along it", lambda: subject.mesh)
+
+
+@pytest.fixture(scope="module")
+def zoo():
+    names = ["cat0", "cat1", "cat10", "dog1", "dog2", "horse0"]
+    return [Subject(name, bumpy(), [0]) for name in names]
+
+
+def test_random_pairs_are_ordered_distinct_and_extend_each_other(zoo):
+    few, many = (make_protocol("random", zoo, count=n, seed=3).pairs for n in (5, 12))
+    assert many[:5] == few
+    assert len(set(many)) == 12
+    assert all(a != b for a, b in many)
+    assert few != make_protocol("random", zoo, count=5, seed=4).pairs
+    everything = make_protocol("random", zoo).pairs  # 100 wanted, 30 there
+    assert len(everything) == 30
+    assert set(everything) == set(make_protocol("all-pairs", zoo).pairs)
+
+
+def test_pairs_within_a_class_and_listed_ones(zoo, tmp_path):
+    protocol = make_protocol("same-class", zoo)
+    assert len(protocol.pairs) == 3 * 2 + 2
+    assert all(a.rstrip("0123456789") == b.rstrip("0123456789") for a, b in protocol.pairs)
+    path = tmp_path / "pairs.txt"
+    path.write_text("cat0\tdog1\n\ndog1 cat0\ncat0 lion7\n")
+    listed = make_protocol("ren-300", zoo, listed=path)
+    assert listed.pairs == (("cat0", "dog1"), ("dog1", "cat0"))
+    assert listed.symmetric  # they count the smaller error
+    assert not protocol.symmetric
+    assert not make_protocol("all-pairs", zoo).symmetric
+
+
+def test_bad_requests(zoo, tmp_path):
+    mesh = bumpy()
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "cat0.npz").write_bytes(b"PK nothing")
+    (tmp_path / "list").write_text("cat0 dog1 7\n")
+    a, b = Subject("a", mesh, [0, 1]), Subject("b", mesh, [0])
+    for argument, expected, call, *given in (
+        ("folder", "hold .npz files with V, F, corres", subjects_in, tmp_path / "empty"),
+        ("landmarks of a", "be in [0, 642)", Subject, "a", mesh, [642]),
+        ("mirrored of a", "have shape (2,)", Subject, "a", mesh, [0, 1], [0]),
+        ("poses", "be at least 2", lambda: demo_subjects(poses=1)),
+        ("name", "be one of random", make_protocol, "some", zoo),
+        ("listed", "be a file with two names", make_protocol, "ren-300", zoo),
+        ("count", "be at least 1", lambda: make_protocol("random", zoo, count=0)),
+    ):
+        refused(argument, expected, call, *given)
+    for call, match in (
+        (lambda: subjects_in(tmp_path), r"cat0.npz: not a whole subject"),
+        (lambda: truth_between(a, b), r"share their landmarks, got 2 of a and 1 of b"),
+        (lambda: make_protocol("all-pairs", zoo[:1]), r"'all-pairs' must have a pair, found no"),
+        (lambda: make_protocol("ren-300", zoo, listed=tmp_path / "list"), r"line 1 .* two names"),
+    ):
+        with pytest.raises(InvalidInputError, match=match):
+            call()
+
+
+# --- measurements ---
+
+
+@pytest.fixture(scope="module")
+def copies():
+    """An animal, its copy in another order and unit, their spectra, and the true map."""
+    mesh = creature(700)
+    copy, order = permuted(mesh, seed=1)
+    copy = copy.with_points(1000 * copy.points)
+    a = Subject("a0", mesh, np.arange(mesh.n), np.roll(np.arange(mesh.n), 7))
+    b = Subject("a1", copy, np.argsort(order))
+    spectra = tuple(eigensolve(robust_laplacian(s.mesh), K) for s in (a, b))
+    return a, b, spectra, np.asarray(order)
+
+
+def measured(source, target, spectra, outcome):
+    return measure_map(source, target, outcome, inverse_map(*spectra, outcome.point_map))
+
+
+def test_the_truth_has_no_error(copies):
+    a, b, spectra, order = copies
+    result = measured(a, b, spectra, Outcome(order, 2.0, 1.0, margin=0.25, ambiguous=True))
+    assert result["direct"] == result["either"] == result["bijectivity"] == 0
+    assert result["symmetric"] > 1
+    assert result["auc"] == result["coverage"] == 1
+    assert result["energy"] == pytest.approx(1, rel=0.05)  # the tufted Laplacian is intrinsic
+    assert result["orientation"] == pytest.approx(1, abs=1e-3)  # sharp edges at the ears
+    assert result["accuracy"] == [1] * len(THRESHOLDS)
+    assert (result["seconds"], result["cpu_seconds"], result["margin"]) == (2, 1, 0.25)
+    assert (result["flipped"], result["ambiguous"]) == (False, True)
+    assert np.isnan(result["oracle"])
+
+
+def test_the_best_finalist_is_the_one_that_the_truth_prefers(copies):
+    a, b, spectra, order = copies
+    maps = [functional_map_from_point_map(*spectra, p, k=30) for p in (0 * order, order)]
+    same = np.arange(a.mesh.n)
+    best = best_candidate(a, b, spectra, maps, same, same)
+    np.testing.assert_array_equal(best, order)
+    assert best_candidate(a, b, spectra, maps[::-1], same, same) is None
+    back = np.argsort(order)
+    wrong = Outcome(0 * order, 0, 0, tuple(maps))
+    assert measure_map(a, b, wrong, back, best=best)["oracle"] == 0
+    chosen = measure_map(a, b, wrong, back)  # the chosen one was the best
+    assert chosen["oracle"] == chosen["direct"] > 10
+    few = [replace(x, landmarks=x.landmarks[:40], mirrored=None) for x in (a, b)]
+    edges, exact = (measure_map(*few, wrong, back, geodesics=how) for how in ("edges", "exact"))
+    assert 0.8 * edges["direct"] < exact["direct"] < edges["direct"]
+    assert exact["oracle"] == exact["direct"]
+
+
+def test_a_mirrored_map_counts_as_flipped(copies):
+    a, b, spectra, order = copies
+    result = measured(a, b, spectra, Outcome(a.mirrored[order], 0, 0))
+    assert result["symmetric"] == result["either"] == 0
+    assert result["flipped"]
+    assert result["auc_either"] == 1 > result["auc"]
+
+
+# --- methods ---
+
+
+@pytest.mark.parametrize("name", ["match", "wks-zoomout", "wks-orient-zoomout"])
+def test_methods_find_a_permutation(copies, name):
+    a, b, spectra, order = copies
+    outcome = METHODS[name].run(*(Side(x.mesh, s) for x, s in zip((a, b), spectra, strict=True)))
+    np.testing.assert_array_equal(outcome.point_map, order)
+    assert outcome.seconds > 0
+    assert bool(outcome.candidates) == (name == "match")
+
+
+def test_pyfm_may_be_away_or_fail(copies, tmp_path):
+    a, b, spectra, _ = copies
+    sides = [Side(x.mesh, s) for x, s in zip((a, b), spectra, strict=True)]
+    cloud = replace(sides[0], geometry=a.mesh.as_cloud())
+    with pytest.raises(InvalidInputError, match="must be meshes: pyFM knows no clouds"):
+        methods.match_pyfm(cloud, sides[1])
+    with pytest.raises(MissingDependencyError, match="the Python of pyFM must be a program, got"):
+        methods.match_pyfm(*sides, python=str(tmp_path / "nowhere"))
+    program = tmp_path / "python"
+    program.touch(0o755)
+    for status, error, match in (
+        (pyfm_peer.MISSING, MissingDependencyError, r"cannot be imported \(No module\)"),
+        (1, SpectraKitError, r"pyFM failed on this pair .*No module"),
+    ):
+        program.write_text(f"#!/bin/sh\necho first >&2\necho 'No module' >&2\nexit {status}\n")
+        with pytest.raises(error, match=match) as caught:
+            methods.match_pyfm(*sides, python=str(program))
+        assert type(caught.value) is error
+
+
+# --- running and remembering ---
+
+
+def test_a_run_is_remembered_with_its_maps(study, monkeypatch):
+    pairs = study(chosen=ways(["mesh", "cloud"], ["exact", "neo"], [PLAIN]))
+    first = match_all(pairs, jobs=0)
+    assert [result.contender for result in first] == pairs.contenders
+    assert [way.label for way in [*pairs.contenders, *ways(KINDS, BACKENDS, ["pyfm"])]] == [
+        "wks-zoomout, exact",
+        "wks-zoomout, neo",
+        "wks-zoomout, exact, clouds",
+        "wks-zoomout, neo, clouds",
+        "pyfm",  # it solves by itself, and is asked once
+    ]
+    assert len(list((pairs.folder / "spectra").iterdir())) == 8
+    subjects = pairs.spectra.subjects
+    for result in first:
+        point_map = np.load(pairs.map_path(result.contender, PAIR))
+        truth = truth_between(*(subjects[name] for name in ("creature0", "creature1")))
+        errors = geodesic_errors(subjects["creature0"].mesh, point_map, truth)
+        assert errors.mean() == pytest.approx(result.record["direct"], rel=1e-9)
+
+    plain = METHODS[PLAIN]
+    monkeypatch.setitem(METHODS, PLAIN, Entry(None))
+    again = match_all(pairs, jobs=0)
+    assert [result.record for result in again] == [result.record for result in first]
+    monkeypatch.setitem(METHODS, PLAIN, plain)
+    path = pairs.map_path(first[0].contender, PAIR)
+    before = np.load(path)
+    path.unlink()  # a result without its map is no result; another process finds the same
+    match_all(pairs, jobs=1)
+    np.testing.assert_array_equal(np.load(path), before)
+
+
+def test_vertices_at_one_place_are_one_point_of_a_cloud(study):
+    mesh = creature(700)
+    # A vertex of no extent is split off, as careless remeshing does: two at one place.
+    doubled = TriangleMesh(
+        np.vstack([mesh.points[5], mesh.points]),
+        np.vstack([mesh.faces + 1, [[6, 0, 1 + int(mesh.faces[mesh.faces[:, 0] == 5][0, 1])]]]),
+    )
+    copy, order = permuted(doubled, seed=0)
+    two = {"a0": Subject("a0", doubled, range(701)), "a1": Subject("a1", copy, np.argsort(order))}
+    pairs = study(Pair("a0", "a1"), subjects=two, chosen=ways(["cloud"], methods=[PLAIN]))
+    [result] = match_all(pairs, jobs=0)
+    assert result.record["direct"] == pytest.approx(0, abs=1e-9)
+    assert np.load(pairs.map_path(result.contender, result.problem)).shape == (701,)
+
+
+def test_everything_that_decides_a_result_is_in_its_key(study, subjects):
+    [way], [own] = ways(methods=[PLAIN]), ways(methods=["pyfm"])
+    pairs = study()
+    keys = [
+        study(**options).key(way, PAIR)
+        for options in (
+            {},
+            {"k": K + 1},
+            {"geodesics": "exact"},
+            {"subjects": {**subjects, "creature0": subjects["creature2"]}},
+        )
+    ]
+    keys += [study(pyfm_python=python).key(own, PAIR) for python in (None, "/other")]
+    keys += [pairs.key(other, PAIR) for other in ways(KINDS, BACKENDS, [PLAIN]) if other != way]
+    keys.append(pairs.key(way, Pair("creature1", "creature0")))
+    assert len(set(keys)) == len(keys)
+    assert study(pyfm_python="/other").key(way, PAIR) == keys[0]
+
+
+def test_failures_say_why(study):
+    few = study(k=10)  # the fit needs 30
+    [result] = results = match_all(few, jobs=0)
+    assert "k" in result.reason
+    [unsolved] = match_all(study(k=5000), jobs=0)  # more than vertices
+    assert unsolved.reason.startswith("creature0: ")
+    assert "`k` must be" in unsolved.reason
+    text = reported(few, results).read_text()
+    assert "Nothing was measured" in text
+    assert "Not matched" in text
+
+
+# --- sums and report ---
+
+
+def reported(pairs, results, *, name="toys"):
+    pairs.folder.mkdir(exist_ok=True)
+    toys = PairSet(name, pairs.spectra.subjects, PROTOCOL)
+    return write_report(pairs.folder, [Matched(toys, pairs, results)])
+
+
+PROTOCOL = Protocol("random", (("s0", "t"),))
+LISTED = Protocol("ren-300", PROTOCOL.pairs)
+
+
+def record(direct, either, **fields):
+    names = ["symmetric", "auc", "auc_either", "coverage", "energy", "bijectivity", "orientation"]
+    made_up = {**dict.fromkeys(names, 0.5), "oracle": 1.0, "margin": 0.1, "seconds": 2.0}
+    made_up |= {
+        "confidence": float("nan"),
+        "cpu_seconds": 1.0,
+        "flipped": False,
+        "ambiguous": False,
+        "status": "ok",
+        "key": "",
+    }
+    curves = dict.fromkeys(["accuracy", "accuracy_either"], [1.0] * len(THRESHOLDS))
+    return {**made_up, **curves, "direct": direct, "either": either, **fields}
+
+
+def made_up_results(**fields):
+    """Made-up results of three pairs, with exact spectra and with worse ones."""
+    errors = {"exact": [(1.0, 1.0), (2.0, 1.5), (9.0, 2.0)]}
+    errors["neo"] = [(2 * a, 2 * b) for a, b in errors["exact"]]
+    return [
+        Result(way, Pair(f"s{i}", "t"), 0, record(*pair, **fields))
+        for way in ways(backends=errors, methods=[PLAIN])
+        for i, pair in enumerate(errors[way.basis.backend])
+    ]
+
+
+def test_summaries_do_their_sums():
+    records = [result.record for result in made_up_results()[:3]]
+    exact = summarize(records, PROTOCOL)
+    assert (exact["mean"], exact["median"], exact["bad"]) == (4, 2, pytest.approx(1 / 3))
+    assert exact["worst"] == 9
+    assert (exact["pairs"], exact["direct"], exact["either"]) == (3, 4, 1.5)
+    assert (exact["flipped"], exact["partly"]) == (0, 1)
+    counted = summarize(records, LISTED)
+    assert (counted["mean"], counted["bad"]) == (1.5, 0)
+    warned = [{**one, "ambiguous": i != 1} for i, one in enumerate(records)]
+    found = summarize(warned, PROTOCOL)
+    assert (found["doubted_wrong"], found["doubted_right"]) == (1, 1)
+    sure = [{**one, "confidence": c} for one, c in zip(warned, (0.4, 0.5, 0.6), strict=True)]
+    found = summarize(sure, PROTOCOL)  # a confidence says more than a yes or no
+    assert (found["doubted_wrong"], found["doubted_right"]) == (0, 1)
+    one_sided = [*records[:2], {**records[2], "symmetric": float("nan")}]
+    unknown = summarize(one_sided, PROTOCOL)  # without a symmetric truth nothing is flipped
+    assert (unknown["flipped"], unknown["partly"]) == (None, None)
+
+
+def cells_of(text):
+    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
+
+
+def test_report_names_protocol_numbers_and_ratio(study):
+    pairs, results = study(), made_up_results()
+    text = reported(pairs, results).read_text()
+    head = ["toys", "wks-zoomout, exact", "3", "**4.00**", "2.00", "9.00", "33%", "1.00", "0/1"]
+    assert any(cells[:9] == head for cells in cells_of(text))
+    for words in (
+        "toys: 1 pairs (random: ordered pairs drawn at random",
+        "toys, wks-zoomout, neo: 2.00 times the mean error with exact spectra",
+        "along the edges of the source",
+        "left for right",
+        "A pair has one thread",
+    ):
+        assert words in text
+    assert "pyFM" not in text
+    found = json.loads((pairs.folder / "matching.json").read_text())
+    assert found["summaries"][1]["mean"] == 8
+    assert found["geodesics"] == "edges"
+    assert (pairs.folder / "accuracy-toys.png").stat().st_size > 10_000
+    [own] = ways(methods=["pyfm"])
+    unknown = {"symmetric": float("nan")}
+    results = [replace(result, contender=own) for result in made_up_results(**unknown)[:3]]
+    exact = study(geodesics="exact")
+    text = reported(exact, results).read_text()
+    assert "exact geodesic distances on the source" in text
+    assert "pyfm: pyFM with the parameters of its README (version 1.3.1): 30 modes" in text
+    [_, cells] = [cells for cells in cells_of(text) if cells[1:2] == ["pyfm"]]
+    assert cells[3:8] == ["4.00", "", "", "", ""]  # direct to partly
+    summary = json.loads((pairs.folder / "matching.json").read_text())["summaries"][0]
+    assert (summary["symmetric"], summary["flipped"]) == (None, None)
+
+
+def test_sets_are_reported_beside_each_other(study):
+    pairs, results = study(), made_up_results()[:3]
+    pairs.folder.mkdir(exist_ok=True)
+    worse = [
+        Result(r.contender, r.problem, 0, record(3 * r.record["direct"], r.record["either"]))
+        for r in results
+    ]
+    subjects = pairs.spectra.subjects
+    plain = PairSet("plain", subjects, PROTOCOL, against="plain")
+    cloud = PairSet("cloud", subjects, PROTOCOL, "points are off", against="plain")
+    both = [Matched(plain, pairs, results), Matched(cloud, pairs, worse)]
+    text = write_report(pairs.folder, both).read_text()
+    assert "- cloud, wks-zoomout, exact: 3.00 times that of plain" in text
+    assert "- plain, wks" not in text
+    assert "without self pairs); points are off" in text
+    lines = list(csv.DictReader((pairs.folder / "pairs.csv").read_text().splitlines()))
+    assert [line["set"] for line in lines] == ["plain"] * 3 + ["cloud"] * 3
+    found = json.loads((pairs.folder / "matching.json").read_text())
+    assert [(row["set"], row["worst"]) for row in found["summaries"]] == [
+        ("plain", 9),
+        ("cloud", 27),
+    ]
+    assert not list(pairs.folder.glob("calibration*"))  # no confidence was told
+    sure = [replace(r, record={**r.record, "confidence": 0.7}) for r in results]
+    write_report(pairs.folder, [Matched(plain, pairs, sure)])
+    [picture] = pairs.folder.glob("calibration-mesh-exact-wks-zoomout.png")
+    assert picture.stat().st_size > 10_000
+
+
+# --- the app ---
+
+
+def test_the_app_matches_draws_and_goes_on(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(sets, "demo_subjects", lambda: demo_subjects(500, poses=2))
+    command = [str(tmp_path), "--demo", "--pairs", "2", "-k", "30", "--jobs", "0"]
+    command += ["--methods", PLAIN]
+    assert app.main(command) == 0
+    said, err = capsys.readouterr()
+    picture = tmp_path / "extremes-demo-mesh-exact-wks-zoomout.png"
+    assert f"picture: {picture}" in said
+    assert picture.stat().st_size > 20_000
+    assert err == ""  # no bar in a pipe
+    lines = list(csv.DictReader((tmp_path / "pairs.csv").read_text().splitlines()))
+    maps = tmp_path.rglob("maps/*/*.npy")
+    assert sorted(path.stem.split("--")[2] for path in maps) == sorted(x["digest"] for x in lines)
+    journal = (tmp_path / "measurements.jsonl").read_text()
+    assert app.main([*command, "--no-pictures"]) == 0
+    assert (tmp_path / "measurements.jsonl").read_text() == journal
+
+
+def test_the_app_says_what_is_wrong_and_can_be_interrupted(tmp_path, capsys, monkeypatch):
+    monkeypatch.delenv("SPECTRA_KIT_DATA", raising=False)
+    monkeypatch.setattr(sets, "demo_subjects", lambda: demo_subjects(500, poses=2))
+    out = str(tmp_path / "out")
+    few = ["--demo", "--pairs", "1", "--jobs", "0", "--no-pictures", "--methods", PLAIN]
+    for command, said in (
+        ([], "`data` must be folders, or names of sets in SPECTRA_KIT_DATA, got 'faust_r'"),
+        (["--data", str(tmp_path)], "must hold .npz files"),
+        (["--demo", "--jobs", "-1"], "`jobs` must be at least 0"),
+    ):
+        assert app.main([out, *command]) == 2
+        assert said in capsys.readouterr().err
+    assert app.main([out, *few, "-k", "9999", "--geodesics", "exact"]) == 1
+    report = capsys.readouterr().out
+    assert "Not matched" in report
+    assert "exact geodesic distances on the source" in report
+
+    def interrupted(*sides):
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(METHODS, PLAIN, Entry(interrupted))
+    assert app.main([out, *few, "-k", "30"]) == 130
+    assert "the same command goes on from here" in capsys.readouterr().err
+
+
+def test_a_set_is_matched_as_one_collection(tmp_path, capsys):
+    for name, subject in demo_subjects(500, poses=3).items():
+        write_subject(tmp_path / f"{name}.npz", subject.mesh, corres=subject.landmarks)
+    out = str(tmp_path / "out")
+    command = [out, "--data", str(tmp_path), "--pairs", "2"]
+    assert match_collection.main(command) == 0
+    said, err = capsys.readouterr()
+    assert "3 shapes as one collection" in said
+    assert "groups of 3; fits no other: none" in said
+    assert err == ""  # no bar in a pipe
+    row = next(line for line in said.splitlines() if line.startswith("| 2 "))
+    assert float(row.split("|")[4]) < 5  # the worst pair
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "out" / "matched").iterdir()}
+    assert match_collection.main(command) == 0
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept

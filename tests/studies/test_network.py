@@ -1,0 +1,441 @@
+"""The study of the network measures what the library does, remembers it, and does its sums."""
+
+import dataclasses
+import json
+import shutil
+
+import evaluate_neo as app
+import numpy as np
+import pytest
+import torch
+from conftest import bumpy, refused, two_parts
+from studies import figures
+from studies.network import per_model
+from studies.network.accuracy import Accuracy
+from studies.network.cases import Case
+from studies.network.findings import Goal, Row, of_accuracy
+from studies.network.methods import joined, label, network, waves
+from studies.network.questions import QUESTIONS, Settings, ask
+from studies.network.report import statistics, write_answer
+from studies.network.training import training_curves, untold, write_training
+from studies.paper import errors_told, seconds_told
+from studies.shapes import Shape, demo_shapes
+from studies.store import Store
+from studies.study import run
+
+from spectra_kit import Neo, RayleighRitz, eigensolve
+from spectra_kit.eigen.metrics import compare_spectra, subspace_span_error
+from spectra_kit.eigen.subspaces import AmbientFourier
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import rectangle, write
+from spectra_kit.neo import NeoConfig, build_network, save_weights
+
+SMALL = network("small")
+
+
+@pytest.fixture(autouse=True)
+def coarse_figures(monkeypatch):
+    """Draw what nobody will look at with few pixels."""
+    monkeypatch.setattr(figures, "_DPI", 60)
+
+
+@pytest.fixture(scope="module")
+def animal():
+    return demo_shapes(1, 800)[0]
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """Return a function that writes weights whose errors fall like a power of the samples."""
+    folder = tmp_path_factory.mktemp("weights")
+
+    def write_weights(name, exponent, samples=(100, 200, 400, 1600)):
+        # A row between two validations has none.
+        rows = [
+            {"samples": n, "seconds": 36 * n, "validation": 0.3 * ((n + 50) / 100) ** exponent}
+            for n in samples
+        ]
+        path = folder / name
+        path.parent.mkdir(exist_ok=True)
+        torch.manual_seed(0)
+        config = NeoConfig(width=18, depth=1, heads=1, head_width=18, latents=4, m=12, k=6)
+        history = [*rows[:1], {"samples": 150}, *rows[1:]]
+        save_weights(path, build_network(config), {"history": history})
+        return str(path)
+
+    return write_weights
+
+
+@pytest.fixture(scope="module")
+def tiny(trained):
+    """A small network that has learnt nothing."""
+    return trained("tiny.safetensors", -0.5)
+
+
+@pytest.fixture
+def measured(tmp_path):
+    """Return a function that measures every method on every case, in this process."""
+
+    def measure(methods, cases, k=10):
+        study = Accuracy(folder=tmp_path, contenders=methods, problems=cases, k=k)
+        return [result.record for result in run(study, Store(tmp_path), jobs=0, retry=True)]
+
+    return measure
+
+
+def given(columns_of):
+    """A method with columns from a function of the points, as a test wants them."""
+    return dataclasses.replace(
+        waves(12, 1.0),
+        facts={"given": repr(columns_of)},
+        basis=lambda points, mass: torch.from_numpy(np.array(columns_of(points))),
+    )
+
+
+# --- what is measured ---
+
+
+def test_what_the_solver_finds_is_found(measured):
+    case = Case(shape=Shape("it", two_parts()), points=700, seed=4)
+    laplacian, subspace = case.laplacian(), AmbientFourier(m=80, bandwidth=4.0)
+    exact, predicted = (
+        eigensolve(laplacian, 10, *solver) for solver in ((), (RayleighRitz(subspace=subspace),))
+    )
+    span, dimension = subspace_span_error(subspace, laplacian, exact, predicted)
+    comparison = compare_spectra(exact, predicted)
+
+    [found] = measured([waves(80, 4.0)], [case])
+    np.testing.assert_allclose(found["span"], span, rtol=1e-4, atol=1e-9)
+    np.testing.assert_allclose(found["vector"], comparison.vector_error, rtol=1e-4, atol=1e-9)
+    np.testing.assert_allclose(found["value"], comparison.eigenvalue_error, rtol=1e-4, atol=1e-9)
+    assert found["dimension"] == dimension
+    assert 0 < found["seconds"] < 60
+
+
+def test_what_is_timed_is_what_the_solver_does(animal, tmp_path):
+    case = Case(shape=animal, points=1200)
+    solved = eigensolve(case.laplacian(), 10, Neo(max_steps=0))
+    study = Accuracy(folder=Store(tmp_path).folder, contenders=[], problems=[], k=10)
+    exact, timed, _ = study.compare(SMALL, case)
+    # But for rounding, which follows from where arrays lie in memory.
+    np.testing.assert_allclose(timed.eigenvalues, solved.eigenvalues, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(timed.eigenvectors, solved.eigenvectors, rtol=1e-7, atol=1e-9)
+    stages = [dict(s.provenance.seconds) for s in (timed, solved)]
+    assert {"subspace", "certify"} <= stages[0].keys() & stages[1].keys()
+    assert study.measure(SMALL, case)["exact_seconds"] == exact.provenance.solving_seconds
+    assert exact.eigenvalues == pytest.approx(eigensolve(case.laplacian(), 10).eigenvalues)
+
+
+def test_rotation_moves_the_points_and_nothing_else(measured, animal, tmp_path):
+    case = Case(shape=animal, points=500)
+    turned = dataclasses.replace(case, rotation=7)
+    before = case.laplacian()
+    after = turned.turned(before)
+    assert abs(before.stiffness - after.stiffness).max() == 0
+    distances = [np.linalg.norm(x.points - x.points[0], axis=1) for x in (before, after)]
+    np.testing.assert_allclose(*distances, atol=1e-12)
+    assert np.abs(before.points - after.points).max() > 0.1
+
+    framed = waves(100, 4.0)  # in the canonical frame: the same in every rotation
+    fixed = np.random.default_rng(0).normal(scale=4.0, size=(3, 100))
+    posed = given(lambda points: np.sin(points @ fixed + 1))
+    a, c, b, d = (np.array(r["span"]) for r in measured([framed, posed], [case, turned]))
+    np.testing.assert_allclose(a, b, atol=1e-9)
+    assert abs(c.mean() / d.mean() - 1) > 1e-3
+    assert len(list(tmp_path.glob("files/exact-*"))) == 1  # one exact solve for all
+
+
+def test_masses_of_one_matter_where_samples_crowd(measured, animal):
+    methods = [SMALL, network("small", weighted=False)]
+    cases = [Case(shape=animal, points=1000, sigma=sigma) for sigma in (None, 0.15)]
+    spans = [np.mean(record["span"]) for record in measured(methods, cases)]
+    loss = [spans[i + 1] / spans[i] for i in (0, 2)]
+    assert loss[1] > max(loss[0], 1.05)
+
+
+# --- what is remembered ---
+
+
+def test_everything_that_decides_the_numbers_is_in_the_key(animal, tmp_path, monkeypatch):
+    study = Accuracy(folder=tmp_path, contenders=[], problems=[], k=10)
+    case = Case(shape=animal, points=400)
+    changes = [{"points": 401}, {"sigma": 0.3}, {"operator": "knn"}, {"rotation": 0}, {"seed": 1}]
+    others = [network("small", **o) for o in ({"poses": 2}, {"dtype": "bfloat16"})]
+    others += [waves(257, 7.0), joined([SMALL, waves(9, 7.0)])]
+    keys = [study.key(SMALL, case)]
+    keys += [study.key(SMALL, dataclasses.replace(case, **change)) for change in changes]
+    keys += [study.key(method, case) for method in others]
+    keys.append(dataclasses.replace(study, k=11).key(SMALL, case))
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 99)  # seconds are kept
+    keys.append(study.key(SMALL, case))
+    assert len(set(keys)) == len(keys)
+
+
+def test_what_cannot_be_asked_is_refused(animal, tiny, tmp_path):
+    sets = {"demo": (animal,)}
+    settings = Settings(sets=sets, weights=("small",))
+    (tmp_path / "twin").mkdir()
+    twins = tiny, str(shutil.copy(tiny, tmp_path / "twin"))
+    for argument, expected, call, given in (
+        ("operator", "be one of", Case, {"shape": animal, "points": 100, "operator": "graph"}),
+        ("sets` and `weights", "hold at least one shape and one network, got 0 and 1", Settings,
+         {"sets": {"real": ()}, "weights": ("small",)}),
+        ("k", "be at least 1", Settings, {"sets": sets, "weights": ("small",), "k": 0}),
+        ("weights", "have different names", Settings, {"sets": sets, "weights": twins}),
+        ("weights", "have different names", write_training, {"weights": twins, "folder": tmp_path}),
+        ("name", "be one of", ask, {"name": "beauty", "settings": settings, "store": None}),
+    ):  # fmt: skip
+        refused(argument, expected, call, **given)
+    with pytest.raises(InvalidInputError, match="cotan needs a mesh, got 100 sampled points"):
+        Case(shape=animal, points=100, operator="cotan")
+
+
+# --- sums ---
+
+
+def record(span, *, seconds=1.0, exact_seconds=100.0):
+    times = {"seconds": seconds, "exact_seconds": exact_seconds}
+    return {"span": span, "vector": [2 * x for x in span], "value": [np.nan, *span[1:]], **times}
+
+
+def row(models, points, method, *spans, **seconds):
+    case = Case(shape=Shape("ball", bumpy()), points=points)
+    labels = {"models": models, "points": points, "solver": method.name}
+    return Row(labels, method, (case,) * len(spans), tuple(record(s, **seconds) for s in spans))
+
+
+def test_lead_growth_and_goals():
+    size = SMALL.columns
+    rival, best = waves(size, 7.0), waves(640, 10.0)
+    rows = [
+        row("real", 8192, SMALL, [0, 0.01], seconds=2.0),
+        row("real", 8192, rival, [0, 0.04], seconds=1.0),
+        row("real", 8192, waves(size, 10.0), [0, 0.07], seconds=1.0),
+        row("real", 8192, best, [0, 0.004]),
+        row("real", 65536, SMALL, [0, 0.02], seconds=20.0),
+        row("procedural", 8192, SMALL, [0, 0.02]),
+        row("procedural", 65536, SMALL, [0, 0.02]),
+    ]
+    elsewhere = Case(shape=Shape("plate", rectangle(n=100).geometry), points=8192)
+    rows[5] = dataclasses.replace(  # a shape that is missing at 65,536 points does not count
+        rows[5], cases=(*rows[5].cases, elsewhere), records=(*rows[5].records, record([0, 9.0]))
+    )
+    found = {finding.text: finding for finding in of_accuracy(rows)}
+    error = found[f"real, 8,192 points, {SMALL}: mean span error"]
+    assert error.value == pytest.approx(0.005)
+    assert [goal.met(error.value) for goal in error.goals] == [True, True, False]
+    lead = found[f"real, 8,192 points, {SMALL}: times less than {rival}"]
+    assert lead.value == pytest.approx(4)
+    assert [goal.met(lead.value) for goal in lead.goals] == [True, False]
+    growth = found[f"real, 65,536 points, {SMALL}: times the error at 8,192"]
+    assert (growth.value, growth.goals) == (pytest.approx(2), (Goal(1.5),))
+    assert not growth.goals[0].met(growth.value)
+    growth = found[f"procedural, 65,536 points, {SMALL}: times the error at 8,192"]
+    assert (growth.value, growth.goals) == (pytest.approx(1), ())
+
+
+def test_means_over_modes():
+    r = row("real", 2048, waves(9, 1.0), [0, 0.2], [0, 0.4], [0, 0.6], [0, 2.0])
+    np.testing.assert_allclose(r.means("value"), [0.2, 0.4, 0.6, 2.0])  # without the kernel
+    assert r.mean("vector") == pytest.approx(0.8)
+    std = np.sqrt(np.mean(np.square([0.3, 0.2, 0.1, 0.6])))
+    wanted = {"mean": 0.4, "std": std, "median": 0.25, "q25": 0.175, "q75": 0.475, "iqr": 0.3}
+    assert statistics(r.means("span")) == pytest.approx(wanted)
+
+
+def test_neo_is_set_beside_waves_that_are_smoothed_alike():
+    ball, plate = Shape("ball", bumpy()), Shape("plate", rectangle(n=100).geometry)
+    cases = tuple(Case(shape=shape, points=None) for shape in (ball, plate))
+
+    def of(method, steps, *values):
+        labels = {"models": "real", "steps": steps}
+        records = tuple(record([0, value]) for value in values)
+        return Row(labels, method, cases[: len(values)], records)
+
+    some = (0.5, 0.5), (0.02, 0.04), (1e-4, 2e-4)
+    rows = [of(SMALL, n, *values) for n, values in zip(per_model.STEPS, some, strict=True)]
+    for bandwidth, worse in ((7.0, 1), (10.0, 3)):  # of which the better is the rival
+        method = waves(SMALL.columns, bandwidth)
+        rows.append(of(method, 0, *[0.6 * worse] * 2))
+        rows.append(of(method, 1, 0.04 * worse, 0.72 * worse))  # 2 and 18 times, 6 in the mean
+        rows.append(of(method, per_model.STEPS[-1], 1e-4 * worse, 1e-4 * worse))
+    [found] = per_model.beside(rows)
+    assert list(found.worst_first) == [1, 0]
+    np.testing.assert_allclose(found.columns["ratio after one step"], [2, 18])
+    np.testing.assert_allclose(found.columns["ratio"], [1, 0.5])
+    told = {finding.text: finding for finding in per_model.findings(rows)}
+    lead = "real: times less than plane waves smoothed alike, by one step each"
+    assert told[f"{lead}, mean"].value == pytest.approx(6)
+    assert told[f"{lead}, worst (ball)"].value == pytest.approx(2)
+    assert all(g.met(told[f"{lead}, mean"].value) for g in told[f"{lead}, mean"].goals)
+    assert told["real: span error before smoothing, mean"].value == pytest.approx(0.25)
+    rows[0] = of(SMALL, 0, 0.5)  # only what all were measured on
+    assert [case.shape.name for one in per_model.beside(rows) for case in one.cases] == ["ball"]
+    assert list(per_model.beside(rows[1:])) == []
+
+
+def test_smoothed_methods_are_what_neo_does(animal, tmp_path):
+    case = Case(shape=animal, points=1200)
+    study = Accuracy(folder=Store(tmp_path).folder, contenders=[], problems=[], k=10)
+    _, found, comparison = study.compare(network("small", steps=2), case)
+    solved = eigensolve(case.laplacian(), 10, Neo(max_steps=2))
+    np.testing.assert_allclose(found.eigenvalues, solved.eigenvalues, rtol=1e-9, atol=1e-12)
+    assert comparison.span_dimension == 10
+    m = SMALL.columns
+    errors = [study.compare(waves(m, 7.0, steps=n), case)[2].eigenvalue_error for n in (0, 1, 20)]
+    means = [np.nanmean(error) for error in errors]
+    assert means[0] > means[1] >= means[2]
+
+
+def test_the_paper_is_quoted_where_the_same_was_measured():
+    crowded = {"models": "real", "sampling": "non-uniform"}
+    aware, agnostic = (
+        errors_told("sampling", {**crowded, "attention": told})
+        for told in ("mass-aware", "masses of one")
+    )
+    assert aware.span < agnostic.span
+    assert errors_told("sampling", {**crowded, "models": "procedural"}) is None
+    assert errors_told("rotation", crowded) is None
+    spans = [
+        errors_told("redundancy", {"models": "procedural", "points": 2048, "m": m}).span
+        for m in (96, 128, 160, 192, 256)
+    ]
+    assert spans == sorted(spans, reverse=True)
+    assert seconds_told("eigsh", 500_000) == seconds_told("eigsh", 524_288)
+    assert seconds_told("eigsh", 100_000) is seconds_told("cascade", 8192) is None
+
+
+# --- questions and reports ---
+
+
+@pytest.fixture(scope="module")
+def settings(tiny):
+    ball = Shape("ball", bumpy())
+    return Settings(
+        sets={"demo": (ball, Shape("plate", rectangle(n=300).geometry))},
+        weights=(tiny,),
+        k=6,
+        points=(110, 150),
+        focus=150,
+        poses=(1, 4),
+        fourier=(80,),
+        bandwidths=(4.0,),
+        rotations=2,
+    )
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    return Store(tmp_path_factory.mktemp("store"))
+
+
+@pytest.mark.parametrize("name", QUESTIONS)
+def test_a_question_is_answered(name, settings, store, tmp_path):
+    answer = ask(name, settings, store)
+    assert all(row.cases for row in answer.rows)
+    text = write_answer(answer, tmp_path)
+    found = json.loads((tmp_path / f"{name}.json").read_text())
+    assert text.startswith(f"## {QUESTIONS[name].title}")
+    assert len(found["rows"]) == len(answer.rows)
+    for line, r in zip(found["rows"], answer.rows, strict=True):
+        assert line["span"]["mean"] == pytest.approx(r.mean())
+        assert len(line["span"]["per_mode_quartiles"][1]) == 6
+    assert found["figures"]
+    assert all((tmp_path / figure).stat().st_size > 5000 for figure in found["figures"])
+    assert all(f"]({figure})" in text for figure in found["figures"])
+    if name == "models":
+        for beside in per_model.beside(answer.rows):
+            table = text[text.index(f"### {beside.place}") :].splitlines()[4:6]
+            names = [beside.cases[i].shape.name for i in beside.worst_first]
+            assert [line.split("|")[1].strip() for line in table] == names
+    if name == "sampling":
+        assert "demo, non-uniform, mass-aware: times the error on uniform samples" in text
+    if name == "accuracy":  # where there is no room for a method it is left out
+        solved = {(row.labels["points"], row.labels["solver"]) for row in answer.rows}
+        assert (110, "neo tiny, 4 poses") in solved
+        assert (150, "fourier m=80, bandwidth 4") in solved
+        assert (110, "fourier m=80, bandwidth 4") not in solved
+
+
+def test_the_report_lists_what_failed(settings, store, tmp_path):
+    few = dataclasses.replace(settings, points=(110,), poses=(1,), fourier=(5,))
+    text = write_answer(ask("accuracy", few, store), tmp_path)
+    large = dataclasses.replace(settings, points=(800, 65536), few=1)
+    places = QUESTIONS["accuracy"].places(large)
+    assert {(place["points"], len(cases)) for place, cases in places} == {(800, 2), (65536, 1)}
+    assert "Could not be measured:" in text
+    assert "- plate: `basis` must span at least k = 6" in text
+
+
+# --- training ---
+
+
+def test_the_validations_of_training_are_tabled_and_drawn(trained, tmp_path):
+    weights = [trained("slow.safetensors", -0.25), trained("fast/weights.safetensors", -0.75)]
+    text = write_training(weights, tmp_path / "out")
+    slow, fast = json.loads((tmp_path / "out" / "training.json").read_text())["curves"]
+    assert (slow["weights"], fast["weights"]) == ("slow", "fast") == tuple(map(label, weights))
+    for curve, p in ((slow, 0.25), (fast, 0.75)):
+        assert curve["law"]["p"] == pytest.approx(p, rel=0.01)
+        assert curve["law"]["s0"] == pytest.approx(50, rel=0.1)
+        assert curve["promise"] == pytest.approx((16050 / 1650) ** p, rel=0.01)
+    assert slow["samples"] == fast["samples"] == [100, 200, 400, 1600]
+    assert slow["hours"] == pytest.approx([1, 2, 4, 16])
+    np.testing.assert_allclose(slow["span_error"], 0.3 * np.array([1.5, 2.5, 4.5, 16.5]) ** -0.25)
+    assert text.count("lacks:") == text.count("the number of cores") == 2
+    assert (tmp_path / "out" / "figures" / "training-hours.png").stat().st_size > 5000
+    [short] = training_curves(trained("short.safetensors", -1, samples=(100,)))
+    assert short.law is None  # one validation has no slope
+    [rising] = training_curves(trained("rising.safetensors", 1))
+    assert np.isnan(rising.promise)
+    before, after = training_curves("small")
+    assert before.errors[-1] > after.errors[-1]
+    assert "number of cores" not in untold("small")
+    with pytest.raises(InvalidInputError, match=r"none in .*silent.safetensors; train with"):
+        write_training([trained("silent.safetensors", -1, samples=())], tmp_path)
+
+
+# --- the app ---
+
+
+def test_the_app_asks_one_question_draws_the_worst_and_continues(tiny, tmp_path, capsys):
+    (tmp_path / "meshes").mkdir()
+    write(bumpy(), tmp_path / "meshes" / "ball.ply")
+    out = tmp_path / "out"
+    command = ["models", str(out), "--data", str(tmp_path / "meshes"), "-k", "6"]
+    command += ["--procedural", "0", "--focus", "200", "--weights", tiny]
+    assert app.main(command) == 0
+    said, err = capsys.readouterr()
+    assert "](figures/worst-real-1-ball.png)" in said
+    assert (out / "figures" / "worst-real-1-ball.png").stat().st_size > 5000
+    assert (out / "report.md").read_text().count("\n## ") == 1
+    assert said.rstrip().endswith("report.md")
+    assert err == ""
+    measured = (out / "measurements.jsonl").read_text()
+    assert len(measured.splitlines()) == 18  # the network and two bandwidths, smoothed thrice
+    assert app.main(command) == 0
+    assert (out / "measurements.jsonl").read_text() == measured
+
+
+def test_the_app_shows_the_training_without_data(trained, tmp_path, capsys, monkeypatch):
+    monkeypatch.delenv("SPECTRA_KIT_DATA", raising=False)
+    out = tmp_path / "out"
+    assert app.main(["training", str(out), "--procedural", "0"]) == 0
+    assert "| small" in capsys.readouterr().out
+    assert {p.name for p in out.iterdir()} == {
+        "training.json", "training.md", "report.md", "figures",
+    }  # fmt: skip
+    weights = ["--weights", trained("silent.safetensors", -1, samples=())]
+    assert app.main(["training", str(out), *weights]) == 2
+    assert "error: `weights` must hold the validations" in capsys.readouterr().err
+    monkeypatch.setattr(app, "QUESTIONS", {})  # the other chapters take a while
+    asked = []
+    monkeypatch.setattr(app, "Settings", lambda **given: asked.append(Settings(**given)))
+    assert app.main(["all", str(out), "--quick", *weights]) == 0
+    assert "training is not drawn: `weights` must hold the validations" in capsys.readouterr().err
+    assert {name: len(shapes) for name, shapes in asked[0].sets.items()} == {
+        "demo": 1, "procedural": 1,
+    }  # fmt: skip
+    assert (asked[0].k, asked[0].points, asked[0].poses) == (16, (512, 1024), (1, 2))
+    assert app.main(["models", str(tmp_path), "--procedural", "0"]) == 2
+    assert "error: `sets` and `weights` must hold at least one shape" in capsys.readouterr().err
