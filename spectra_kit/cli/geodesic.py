@@ -38,12 +38,12 @@ from spectra_kit.cli.words import stem
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import (
-    WithinMemory,
     Direct,
     DistanceField,
     FacePoint,
     HeatGeodesics,
     Iterative,
+    WithinMemory,
     nearest_source,
 )
 from spectra_kit.geodesics.exact import exact_field
