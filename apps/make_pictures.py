@@ -31,7 +31,7 @@ from functools import cached_property
 from pathlib import Path
 
 from hero import draw_hero
-from measure.plots import ParetoPoint, plot_pareto
+from studies.plots import ParetoPoint, plot_pareto
 
 import spectra_kit as sk
 from spectra_kit import show

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from measure.plots import ParetoPoint, pareto_front, plot_pareto
 from numpy.typing import ArrayLike
 
 from spectra_kit._core.files import atomic_path
 from spectra_kit.show import Page
 from spectra_kit.show.layout import LINE_COLOURS
+from studies.plots import ParetoPoint, pareto_front, plot_pareto
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

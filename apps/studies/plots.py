@@ -91,7 +91,7 @@ def pareto_front(points: Sequence[ParetoPoint], *, floor: float = 0.0) -> list[P
 
     Examples
     --------
-    >>> from spectra_kit.show import ParetoPoint, pareto_front
+    >>> from studies.plots import ParetoPoint, pareto_front
     >>> runs = [
     ...     ParetoPoint(name=name, group="", seconds=seconds, error=error)
     ...     for name, seconds, error in (("a", 1, 0.1), ("b", 2, 0.2), ("c", 3, 0.01))
@@ -142,7 +142,8 @@ def plot_pareto(
 
     Examples
     --------
-    >>> from spectra_kit.show import Page, ParetoPoint, plot_pareto
+    >>> from spectra_kit.show import Page
+    >>> from studies.plots import ParetoPoint, plot_pareto
     >>> runs = [
     ...     ParetoPoint(name="quick", group="ours", seconds=0.1, error=1e-2),
     ...     ParetoPoint(name="exact", group="theirs", seconds=2.0, error=1e-9),

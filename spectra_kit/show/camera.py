@@ -43,11 +43,6 @@ class View:
     turn : float, default 0
         Degrees to turn the geometry about that axis, from the view chosen: its front goes right.
 
-    Raises
-    ------
-    InvalidInputError
-        If `turn` is not finite.
-
     Notes
     -----
     Up is y, or z where the geometry stands on that side, and more broadly, or what is said; and

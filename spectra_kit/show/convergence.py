@@ -44,11 +44,6 @@ class SolverRun(Brief):
     residuals : ndarray of shape (i,)
         Relative residuals: at the start and after each iteration, or of a direct solver the one
         that it ends with. Without any, only the seconds are drawn.
-
-    Raises
-    ------
-    InvalidInputError
-        If `times` are not ascending, or not as many as `residuals`.
     """
 
     name: str

@@ -46,11 +46,6 @@ class Page:
         Pixels per inch, 600 for print. In ``.pdf`` and ``.svg`` text and lines are vectors, and
         only pictures of geometries have so many.
 
-    Raises
-    ------
-    InvalidInputError
-        If `dpi` is not in [10, 2400].
-
     Examples
     --------
     >>> from spectra_kit.show import Page

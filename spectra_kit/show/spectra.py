@@ -55,12 +55,6 @@ def plot_spectrum(
 
     $returns
 
-    Raises
-    ------
-    InvalidInputError
-        If there is no spectrum, one has no modes, or `free_boundary` is not finite or is given for
-        surfaces of several areas.
-
     Notes
     -----
     **Bars** reach as far as the residuals of the certificate, ``lambda +- ||L u - lambda M u||``

@@ -43,11 +43,6 @@ class Thumbnail(Brief):
         The class of each point; without, it is drawn in grey.
     lines : tuple of str
         Above the picture.
-
-    Raises
-    ------
-    InvalidInputError
-        If labels are no classes, counted from 0, of all points.
     """
 
     geometry: Geometry

@@ -127,8 +127,6 @@ def test_a_view_reaches_the_camera(plot):
         (film, {"fps": 0}, "fps", "positive", "0"),
         (film, {"fps": 1e6}, "fps", "at most 20,000 frames", ""),
         (film, {"seconds_per_mode": 0.0}, "seconds_per_mode", "positive", "0"),
-        (partial(replace, POINT), {"error": -1.0}, "error", "finite and >= 0", "-1"),
-        (partial(replace, POINT), {"seconds": 0.0}, "seconds", "positive", "0"),
         (partial(replace, RUN), {"times": [0.0]}, "times", "ascending", r"shapes \(1,\) and \(2,"),
         (partial(replace, RUN), {"times": [1, 0]}, "times", "ascending", ""),
     ],
@@ -243,7 +241,6 @@ def test_geometries_without_extent_are_drawn():
     [
         ("modes.png", partial(comparison, modes=[0, 3])),
         ("match.png", partial(match, errors=MapErrors(np.linspace(0, 10, BALL.n - 9), SAME[9:]))),
-        ("pareto.png", partial(pareto, marks={"ARPACK": 3.0})),
         ("hks.png", partial(signatures, signature=SIGNATURE + TIMES, shown=[1, 4, 6])),
         ("runs.png", convergence),
     ],
@@ -288,9 +285,9 @@ def test_a_geometry_may_be_a_file_and_so_may_the_picture(tmp_path):
     write(lone, mesh := tmp_path / "lone.obj")
     options = {"fields": {"x": lone.points[:, 0]}, "page": Page(dpi=30)}
     path = tmp_path / "x.png"
-    for picture in (show.plot_fields(mesh, **options), show.plot_fields(path, mesh, **options)):
-        assert (picture.content or path.read_bytes()).startswith(b"\x89PNG")
-    assert show.plot_fields(path=path, geometry=mesh, **options).path == path
+    assert show.plot_fields(mesh, **options).content.startswith(b"\x89PNG")
+    assert show.plot_fields(geometry=mesh, path=path, **options).path == path
+    assert path.read_bytes().startswith(b"\x89PNG")
     with pytest.raises(InvalidInputError, match="`path` must be a string, path or None, got a Tri"):
         show.plot_modes(lone, SPECTRUM, path=lone)
     with pytest.raises(InvalidInputError, match=r"the folder .* does not exist"):
@@ -387,7 +384,7 @@ def test_a_signal_while_another_process_draws_ends_this_one_by_it(tmp_path):
     code = (
         "from spectra_kit import show; from spectra_kit.geometry import sphere\n"
         "ball = sphere(subdivisions=1).geometry\n"
-        f"viz.plot_fields({str(tmp_path / 'x.png')!r}, ball, {{'x': ball.points[:, 0]}})"
+        f"show.plot_fields(ball, {{'x': ball.points[:, 0]}}, path={str(tmp_path / 'x.png')!r})"
     )
     with subprocess.Popen(
         [sys.executable, "-c", code],
@@ -403,23 +400,14 @@ def test_a_signal_while_another_process_draws_ends_this_one_by_it(tmp_path):
     assert process.returncode == -signal.SIGTERM
 
 
-BACKENDS = {
-    None: "",
-    "module://matplotlib_inline.backend_inline": "",
-    "module://nobody.has_this": "",
-    "no_backend": "",
-    "": "",
-    "TkAgg": "tkagg",
-    "svg": "svg",
-    "agg": "agg",
-}
+BACKENDS = {"module://matplotlib_inline.backend_inline": "", "no_backend": "", "svg": "svg"}
 DRAWS = """
 import sys
 from spectra_kit import Spectrum, show
 import numpy as np
 spectrum = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
 assert "matplotlib" not in sys.modules
-show.plot_spectrum(sys.argv[1], spectrum)
+show.plot_spectrum(spectrum, path=sys.argv[1])
 show.colours.error_colours(np.ones(3), 1.0)
 import matplotlib
 print(dict.__getitem__(matplotlib.rcParams, "backend"))
@@ -429,8 +417,7 @@ print(dict.__getitem__(matplotlib.rcParams, "backend"))
 @pytest.mark.parametrize("backend", BACKENDS, ids=str)
 def test_pictures_need_no_backend_and_leave_it_as_it_is(tmp_path, backend):
     """As it is where Matplotlib takes it; where it does not, it is nobody's."""
-    kept = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
-    environment = kept if backend is None else kept | {"MPLBACKEND": backend}
+    environment = os.environ | {"MPLBACKEND": backend}
     run = subprocess.run(
         [sys.executable, "-c", DRAWS, str(tmp_path / "a.png")], env=environment, text=True,
         capture_output=True, check=True,

@@ -1,5 +1,7 @@
 """Diagrams of spectra, signatures and methods: every mark lies where the numbers are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import two_parts

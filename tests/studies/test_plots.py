@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.transforms import Bbox
-from measure.plots import ParetoPoint, pareto_front, plot_pareto
+from studies.plots import ParetoPoint, pareto_front, plot_pareto
 
 from spectra_kit.show import Page
 

@@ -48,7 +48,6 @@ from typing import Any
 import numpy as np
 
 from spectra_kit._core.validate import check_count
-from spectra_kit.show import ParetoPoint
 from studies.command import add_threads
 from studies.eigensolvers.methods import BASELINE, METHODS, QUICK, STARTS, Contender, contenders
 from studies.eigensolvers.solves import KINDS, OPERATOR, Preparation, Solves, clouds_of
@@ -56,6 +55,7 @@ from studies.eigensolvers.summary import Row, Summary, leads, memory, summaries
 from studies.figures import draw_pareto, undominated
 from studies.machine import describe_machine, most_memory
 from studies.paper import seconds_told
+from studies.plots import ParetoPoint
 from studies.recipes import REAL, Recipe, model_sources
 from studies.report import Table, ratio, write_report
 from studies.store import Record, Store

@@ -34,7 +34,7 @@ import numpy as np
 from spectra_kit._core.threads import usable_cores
 from spectra_kit._core.types import Floats
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
-from spectra_kit.show import Page, Portrait, plot_portraits
+from spectra_kit.show import Page, Thumbnail, plot_thumbnails
 from studies import figures
 from studies.learning.labelled import SEGMENTED, LabelledSet, labelled_set
 from studies.learning.segmentation import (
@@ -196,13 +196,13 @@ def _draw_shapes(result: Result[PartsRow, int], shapes: LabelledSet, folder: Pat
     order = sorted(right, key=lambda i: right[i])
     chosen = [order[len(order) // 2], order[0]]
     path = folder / f"parts_{result.contender.set}.png"
-    portraits = [
-        Portrait(geometry=shapes.meshes[i], labels=labels, lines=(f"shape {i}", line))
+    thumbnails = [
+        Thumbnail(geometry=shapes.meshes[i], labels=labels, lines=(f"shape {i}", line))
         for i in chosen
         for labels, line in (
             (shapes.vertex_labels[i], "truth"),
             (told[i], f"{100 * right[i]:.1f} % of the vertices right"),
         )
     ]
-    plot_portraits(path, portraits, page=Page(str(result.contender)))
+    plot_thumbnails(thumbnails, path=path, page=Page(str(result.contender)))
     return path

@@ -370,12 +370,12 @@ def draw_extremes(matched: Matched) -> list[Path]:
         kind = "meshes" if way.basis.kind == "mesh" else "clouds"
         path = matched.study.folder / f"extremes-{matched.set.name}-{way}.png"
         plot_correspondences(
-            path,
             [
                 _drawn(matched.study, way, ranked[i].problem, f"{chosen[i]}: {error:.2f}")
                 for i in sorted(chosen)
                 for error in [counted(ranked[i].record, protocol)]
             ],
+            path=path,
             view=View(matched.set.up),
             page=Page(
                 f"{matched.set.name}, {way.method}: {way.basis.backend} spectra of {kind}",

@@ -286,11 +286,11 @@ def draw_worst(answer: Answer, folder: Path, *, count: int = 3) -> list[Path]:
             exact, predicted, comparison = answer.study.compare(one.method, case)
             name = f"worst-{_slug(one.place.models)}-{rank}-{_slug(case.shape.name)}.png"
             plot_comparison(
-                folder / name,
                 case.geometry(),
                 exact,
                 predicted,
                 comparison,
+                path=folder / name,
                 modes=[int(mode) for mode in np.argsort(-comparison.span_error)[:_DRAWN]],
                 page=Page(
                     f"{case}: the worst of {exact.k} modes",

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import base64
+import hashlib
+import html
+import json
 import os
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -24,14 +30,16 @@ from spectra_kit.show.camera import View
 from spectra_kit.show.colours import diverging_colours
 from spectra_kit.show.contours import triangles_of
 from spectra_kit.show.explorer.display import for_display, functions_of, normal_steps
-from spectra_kit.show.explorer.document import assembled
-from spectra_kit.show.explorer.facts import colour_facts, comparison_facts, numbers, spectrum_facts
 from spectra_kit.show.explorer.payload import (
     LEVELS,
+    colour_facts,
+    comparison_facts,
     face_bytes,
+    numbers,
     packed,
     quantised,
     renumbered,
+    spectrum_facts,
     steps16,
     walk,
 )
@@ -120,12 +128,6 @@ def write_explorer(
     -------
     Explorer
         Where the page is, and what it shows.
-
-    Raises
-    ------
-    InvalidInputError
-        If sizes disagree, the spectra cannot be compared, `path` is not an ``.html`` file in an
-        existing folder, or an option is out of range.
 
     Notes
     -----
@@ -274,3 +276,30 @@ def _write(
     with atomic_path(path) as part:
         part.write_bytes(text)
     return len(text)
+
+
+def assembled(facts: dict[str, Any], blocks: dict[str, str]) -> str:
+    """The template with everything in its place."""
+    script = _asset("explorer.js").replace("</script", "<\\/script")
+    digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
+    # Inside <script> only "<" could end the block; JSON may write it as an escape.
+    record = json.dumps(facts, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    data = "\n".join(
+        f'<script type="application/octet-stream" id="{name}">{text}</script>'
+        for name, text in blocks.items()
+    )
+    content = {
+        "TITLE": html.escape(facts["title"] or "Spectrum explorer"),
+        "DIGEST": digest,
+        "STYLE": _asset("explorer.css"),
+        "FACTS": record,
+        "DATA": data,
+        "SCRIPT": script,
+    }
+    # One pass: what is put in is not searched again.
+    return re.sub(r"%%([A-Z]+)%%", lambda m: content[m[1]], _asset("explorer.html"))
+
+
+@cache
+def _asset(name: str) -> str:
+    return (resources.files("spectra_kit.show.explorer") / "assets" / name).read_text("utf-8")

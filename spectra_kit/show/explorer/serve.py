@@ -37,11 +37,6 @@ def serve(
         Open the page in the browser.
     ready : callable, optional
         Called with the address once it can be opened.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no such file, or `port` is out of range or taken.
     """
     check_count("port", port, low=0, high=65535)
     if not Path(page).is_file():
