@@ -143,7 +143,10 @@ def _of_matrices(given: Laplacian | sparse.sparray, mass: object, solver: Eigens
         return given
     if mass is None:
         raise InvalidInputError(
-            "mass", "go with a stiffness matrix", None, advice="write eigensolve(K, k, mass=M)"
+            "laplacian",
+            "be a Laplacian, or a matrix with its mass",
+            "no mass",
+            advice="write eigensolve(K, k, mass=M)",
         )
     if promise_of(solver) == "approximate":
         raise InvalidInputError(
