@@ -85,12 +85,6 @@ class CoarseSpace:
     seconds : float
         Time the preparation took.
 
-    Raises
-    ------
-    InvalidInputError
-        If neither or both of `energies` and `matrix` are given, if shapes disagree (from `solve`
-        too), if a value is not finite or an energy not positive, or if nothing is left of Y.
-
     Examples
     --------
     On the path below, Y spans an eigenspace, in which Q inverts A:
@@ -190,11 +184,6 @@ class AdditiveTwoLevel:
     seconds : float
         Time that the preparation of both took.
 
-    Raises
-    ------
-    InvalidInputError
-        If the sizes of the two disagree.
-
     Notes
     -----
     Algorithm 2 of the NEO paper is `pcg` with this preconditioner, started from
@@ -250,11 +239,6 @@ class ProjectedTwoLevel:
     ----------
     seconds : float
         Time that the preparation of both took.
-
-    Raises
-    ------
-    InvalidInputError
-        If the sizes disagree.
 
     Notes
     -----

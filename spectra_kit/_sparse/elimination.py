@@ -58,21 +58,6 @@ class Elimination:
         -------
         Elimination
             For all matrices of that pattern.
-
-        Raises
-        ------
-        InvalidInputError
-            If `matrix` is not square, finite and symmetric, or has too many entries.
-        OutOfMemoryError
-            If there is no room for it.
-
-        Examples
-        --------
-        >>> from scipy import sparse
-        >>> from spectra_kit._sparse.elimination import Elimination
-        >>> A = sparse.diags_array([-1.0, 3.0, -1.0], offsets=[-1, 0, 1], shape=(9, 9))
-        >>> Elimination.of(sparse.csr_array(A)).fill >= 8
-        True
         """
         A = symmetric(matrix)
         if A.nnz > _MAX_ENTRIES:

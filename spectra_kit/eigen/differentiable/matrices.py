@@ -60,9 +60,6 @@ def eigenvalues(
 
     Raises
     ------
-    InvalidInputError
-        If a tensor has another shape or layout or is not real, and as `Laplacian` and
-        `eigensolve`.
     ConvergenceError, InvalidSpectrumError, OutOfMemoryError
         As `eigensolve`.
 

@@ -60,10 +60,6 @@ def mesh_eigenvalues(
 
     Raises
     ------
-    InvalidInputError
-        If `points` is no real tensor; as `TriangleMesh`, `laplacian` and `eigensolve`. Where a
-        gradient is wanted: if two ends of an edge coincide; or if the triangles of "robust", of
-        which its library tells nothing, are not found again, as may happen among needles.
     ConvergenceError, InvalidSpectrumError, OutOfMemoryError
         As `laplacian` and `eigensolve`.
 
