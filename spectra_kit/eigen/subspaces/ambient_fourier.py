@@ -35,11 +35,6 @@ class AmbientFourier:
     seed : int, default 0
         Of the wave vectors.
 
-    Raises
-    ------
-    InvalidInputError
-        If a parameter is out of range.
-
     Notes
     -----
     The wave vectors are random Fourier features of a Gaussian kernel (Rahimi and Recht, *Random
