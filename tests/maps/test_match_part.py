@@ -8,9 +8,9 @@ import igl
 import numpy as np
 import pytest
 from conftest import bumpy, creature, data_folder, refused
-from studies.matching.cuts import REFERENCE, cut_landmarks, left_of, overlap, part_of
-from studies.matching.subjects import subjects_in
 from scipy.spatial import cKDTree
+from studies.matching.parts import REFERENCE, cut_landmarks, left_of, overlap, part_of
+from studies.matching.subjects import subjects_in
 from test_matching import moved, prepared
 
 from spectra_kit import TriangleMesh, robust_laplacian, spectrum
