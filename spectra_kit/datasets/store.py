@@ -27,11 +27,12 @@ from spectra_kit.datasets.operators import (
     packed,
     stiffness_of,
 )
-from spectra_kit.datasets.plan import Descriptor, Plan, describe
+from spectra_kit.datasets.plan import Descriptor, Plan
 from spectra_kit.eigen import Spectrum, eigensolve
 from spectra_kit.eigen.spectrum import plain
 from spectra_kit.eigen.spectrum_file import write_spectrum_file
 from spectra_kit.errors import InvalidFileError, InvalidInputError
+from spectra_kit.features import DESCRIPTORS
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh
 from spectra_kit.operators import TangentGradient
 
@@ -275,7 +276,7 @@ class SpectrumStore:
             return self.load_descriptor(key) if path.exists() else None
 
         def described() -> Floats:
-            values = np.asarray(describe(name, self.spectrum(shape, plan))).astype(plan.precision)
+            values = DESCRIPTORS[name](self.spectrum(shape, plan)).astype(plan.precision)
             with self._new("descriptors", key) as place:
                 files.write(place, facts, values=values)
             return values

@@ -21,6 +21,7 @@ from spectra_kit.eigen import subspaces
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.learn import heads, networks
 from spectra_kit.learn.examples import Recipe
+from spectra_kit.neo import NeoSubspace
 
 Made = TypeVar("Made")
 
@@ -32,7 +33,7 @@ _KNOWN = {
     for module in (features, eigen, subspaces, heads, networks)
     for name, kind in vars(module).items()
     if isinstance(kind, type) and is_dataclass(kind)
-} | {"Recipe": Recipe}
+} | {"Recipe": Recipe, "NeoSubspace": NeoSubspace}
 
 
 def write(

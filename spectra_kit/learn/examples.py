@@ -17,7 +17,7 @@ from spectra_kit._core.validate import check_count
 from spectra_kit.eigen import Automatic, Eigensolver
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.features import Embedding, Surface, embed_batch
-from spectra_kit.features.base import finite
+from spectra_kit.features.embedding import finite
 from spectra_kit.geometry import Geometry, TriangleMesh, sample
 from spectra_kit.learn._sparse import block_diagonal, csr_tensor
 from spectra_kit.learn.networks import Batch, Need
@@ -55,7 +55,7 @@ class Recipe:
     Examples
     --------
     >>> import spectra_kit as sk
-    >>> waves = sk.features.WaveSignature(count=32, width=1.5, first=3)
+    >>> waves = sk.features.WaveKernelSignature(count=32, width=1.5, first=3)
     >>> recipe = sk.learn.Recipe(
     ...     embeddings=(waves, sk.features.ShapeDNA(count=45)), solver=sk.Neo()
     ... )

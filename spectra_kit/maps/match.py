@@ -14,7 +14,7 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count, quantity, warn
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
-from spectra_kit.features import landmark_wave_kernel_signature, normalize_descriptors
+from spectra_kit.features import normalize_descriptors, wave_kernel_signature
 from spectra_kit.geometry import Geometry
 from spectra_kit.maps.alignment import bent, placed_candidates, side_of
 from spectra_kit.maps.candidates import sign_candidates
@@ -438,7 +438,9 @@ class Search:
                 np.hstack(
                     [
                         side.wave,
-                        landmark_wave_kernel_signature(side.spectrum, points[::every], count=count),
+                        wave_kernel_signature(
+                            side.spectrum, count=count, landmarks=points[::every]
+                        ),
                     ]
                 ),
             )

@@ -6,12 +6,12 @@ import torch
 
 from spectra_kit.eigen import Neo
 from spectra_kit.errors import InvalidFileError, InvalidInputError
-from spectra_kit.features import ShapeDNA, WaveSignature
+from spectra_kit.features import ShapeDNA, WaveKernelSignature
 from spectra_kit.geometry import PointCloud, TriangleMesh, creature, read, sphere, torus, write
 from spectra_kit.learn import Recipe, ShapeIndex, index_folder
 from spectra_kit.neo import NeoConfig, NeoNetwork, save_weights
 
-RECIPE = Recipe(embeddings=(ShapeDNA(count=12), WaveSignature(count=5)), k=24)
+RECIPE = Recipe(embeddings=(ShapeDNA(count=12), WaveKernelSignature(count=5)), k=24)
 
 
 @pytest.fixture
