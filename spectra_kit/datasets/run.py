@@ -218,7 +218,7 @@ def compute_all(
     if cut:
         warn(
             f"{quantity(len(cut), 'shape')} of {len(inputs):,}, such as {cut[0]!r}: boundary edges"
-            f" lie along others, {UNJOINED}, and cut the surface",
+            f" lie on others, {UNJOINED}, and cut the surface",
             SplitSurfaceWarning,
             advice="join them with {}",
             remedies=("Plan(repair=True)",),

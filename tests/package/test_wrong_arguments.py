@@ -36,13 +36,12 @@ from spectra_kit import (
     interop,
     learn,
     maps,
-    metrics,
     neo,
     operators,
     show,
-    subspaces,
 )
 from spectra_kit._core.checked import _LATE
+from spectra_kit.eigen import metrics, subspaces
 from spectra_kit.errors import InvalidInputError, SpectraKitError
 
 # Their arrays are checked by whom they serve; the command line has its own tests.
