@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
+from conftest import creature
 from scipy.spatial.transform import Rotation
 
 import spectra_kit as sk
@@ -25,7 +26,7 @@ from spectra_kit.features import (
     embed_batch,
     embed_shape,
 )
-from spectra_kit.geometry import creature, sphere
+from spectra_kit.geometry import sphere
 from spectra_kit.neo import NeoConfig, NeoNetwork, NeoSubspace
 from spectra_kit.operators import delaunay_laplacian
 

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 import torch
+from conftest import creature
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 import spectra_kit as sk
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.features import Coordinates, HeatKernelSignature
-from spectra_kit.geometry import TriangleMesh, creature, torus
+from spectra_kit.geometry import TriangleMesh, torus
 from spectra_kit.learn import DiffusionNet, Hierarchical, PointMLP, PointNet, Recipe
 from spectra_kit.learn.examples import batched, prepared, stretched
 from spectra_kit.learn.networks import _DiffusionBlock

@@ -247,6 +247,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("mismatches.source mismatches.target", prepared),
         ("Union.parts start subspace", given),
         ("embedding", features.HeatKernelSignature(count=4)),
+        ("BasisFunctions.subspace", sk.AmbientFourier(m=16)),
         ("Surface.given surface", mesh),
         ("Surface.solver", sk.Arpack()),
         ("embed_batch.embedding", features.Coordinates()),
