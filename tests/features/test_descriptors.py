@@ -1,5 +1,8 @@
 """Descriptors of points and surfaces: closed forms, brute force, and what must not matter."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from conftest import bumpy, refused, two_parts
@@ -302,3 +305,14 @@ def test_bad_input_is_refused(bumps):
     ):  # fmt: skip
         name = {"sources": "time", "descriptors": "center"}.get(argument, argument)
         refused(argument, expected, call, *given, **{name: option})
+
+
+def test_torch_is_not_imported_for_them():
+    code = (
+        "import sys; from spectra_kit import features, geometry;"
+        " ball = geometry.sphere(subdivisions=1).geometry;"
+        " features.embed(ball, features.HeatKernelSignature(), k=20);"
+        " [descriptor(ball) for descriptor in features.DESCRIPTORS.values()];"
+        " sys.exit('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
