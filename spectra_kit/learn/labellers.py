@@ -20,9 +20,10 @@ from spectra_kit._core.validate import as_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, sample_with_origin
 from spectra_kit.learn.examples import Example, Recipe, prepared
-from spectra_kit.learn.fitting import UNKNOWN, Model, Training, fit, predicted, with_copies
+from spectra_kit.learn.fitting import Model, Training, fit, predicted, with_copies
 from spectra_kit.learn.heads import Head
 from spectra_kit.learn.networks import Network
+from spectra_kit.learn.tensors import UNKNOWN
 
 _CLASSES = 1 << 16
 _CARRIED_BY = 3  # nearest sampled points tell a vertex its label
@@ -115,11 +116,6 @@ class Classifier:
         -------
         Classification
             Label, name and scores.
-
-        Raises
-        ------
-        InvalidInputError
-            If the shape has several components, or fewer points than modes are asked for.
         """
         if isinstance(self.learned, Model):
             example, _ = prepared(self.recipe, shape, self.learned.sees)
@@ -170,11 +166,6 @@ class Segmenter:
         -------
         Segmentation
             Labels of points and faces, and scores.
-
-        Raises
-        ------
-        InvalidInputError
-            If the shape has several components, or fewer points than modes are asked for.
         """
         example, seen = prepared(self.recipe, shape, self.learned.sees)
         scores = carried(seen, predicted(self.learned, self.recipe, example), shape)
@@ -260,14 +251,6 @@ def train_classifier(
     Classifier
         Ready, and to be saved by `save_labeller`.
 
-    Raises
-    ------
-    InvalidInputError
-        If labels do not fit the shapes, a class has no example, there is only one class, or torch
-        cannot use the device.
-    MissingDependencyError
-        Without the packages that the method needs.
-
     Examples
     --------
     >>> import spectra_kit as sk
@@ -334,14 +317,6 @@ def train_segmenter(
     -------
     Segmenter
         Ready, and to be saved by `save_labeller`.
-
-    Raises
-    ------
-    InvalidInputError
-        If labels do not fit the points or faces, a class has no example, there is only one class,
-        or training sees some points alone where labels are of faces.
-    MissingDependencyError
-        Without the packages that the method needs.
 
     Examples
     --------

@@ -15,7 +15,7 @@ from spectra_kit._core.types import Bools, Floats, Ints
 from spectra_kit._core.validate import check_count
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.features import landmark_wave_kernel_signature, normalize_descriptors
+from spectra_kit.features import normalize_descriptors, wave_kernel_signature
 from spectra_kit.geometry import Geometry
 from spectra_kit.maps.calibration import score_of
 from spectra_kit.maps.candidates import bent, rigid_candidates, side_of, sign_candidates
@@ -426,7 +426,9 @@ class Search:
                 np.hstack(
                     [
                         side.wave,
-                        landmark_wave_kernel_signature(side.spectrum, points[::every], count=count),
+                        wave_kernel_signature(
+                            side.spectrum, count=count, landmarks=points[::every]
+                        ),
                     ]
                 ),
             )

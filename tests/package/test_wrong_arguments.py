@@ -51,7 +51,7 @@ PACKAGES = [name for _, name, _ in pkgutil.iter_modules(sk.__path__) if not INNE
 LEFT_TO_TORCH = {"NeoNetwork.forward", "NeoNetwork.features", "NeoNetwork.evaluate_chunked"}
 # Called by `eigensolve`, `embed` and `train_classifier` alone, which have checked what they pass.
 HOOKS = re.compile(
-    r"\.eigenpairs$|\.begin$|\.of_points$|\.of_all$|\.values$|\.fit$|\.build$"
+    r"\.eigenpairs$|\.begin$|\.of_points$|\.of_all$|\.values$|\.functions$|\.fit$|\.build$"
     r"|^(?!GivenBasis|Laplacian).*restricted$"
 )
 
@@ -151,7 +151,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     pair = show.MatchedPair(source=mesh, target=mesh, point_map=same)
     run = show.SolverRun(name="a", stages={"factor": 1.0}, times=[0.1], residuals=[1e-9])
     recipe = learn.Recipe(embeddings=(features.ShapeDNA(count=4),), k=8)
-    points = learn.Recipe(embeddings=(features.HeatSignature(count=3),), k=8)
+    points = learn.Recipe(embeddings=(features.HeatKernelSignature(count=3),), k=8)
     halves = (mesh.points[:, 2] > 0).astype(int)
     classifier = learn.train_classifier(
         [mesh, ball], [0, 1], recipe=recipe, method=learn.NearestNeighbour()
@@ -248,10 +248,11 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("from_diffusion_net.operators", interop.to_diffusion_net(spectrum, laplacian, slopes)),
         ("score_map.source score_map.target match_part.part match_part.whole", prepared),
         ("Union.parts start subspace", given),
-        ("embedding", features.HeatSignature(count=4)),
-        ("Surface.shape embed.shape embed_shape.shape", mesh),
+        ("embedding", features.HeatKernelSignature(count=4)),
+        ("BasisFunctions.subspace", sk.AmbientFourier(m=16)),
+        ("Surface.given surface", mesh),
         ("Surface.solver", sk.Arpack()),
-        ("embed_batch.embedding", features.PlaneWaves(count=4)),
+        ("embed_batch.embedding", features.Coordinates()),
         ("embed_batch.points", torch.rand(2, 9, 3)),
         ("embed_batch.mass", torch.ones(2, 9)),
         ("mesh_eigenvalues.points", torch.tensor(np.array(ball.points))),
@@ -430,10 +431,9 @@ ALSO = {
     "spectrum.solver": {"Arpack"},
     "eigenvalues.solver": {"Arpack"},
     "mesh_eigenvalues.solver": {"Arpack"},
-    "Surface.shape": {"Laplacian", "Spectrum"},
-    "embed.shape": {"Laplacian", "Spectrum"},
+    "Surface.given": {"Laplacian", "Spectrum"},
+    "surface": {"Laplacian", "Spectrum"},
     "embed.solver": {"Arpack"},
-    "embed_shape.shape": {"Laplacian", "Spectrum"},
     "embed_shape.solver": {"Arpack"},
     "Recipe.solver": {"Arpack"},
     # Empty sequences, which are arrays of floats to NumPy.
