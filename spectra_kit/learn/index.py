@@ -74,19 +74,9 @@ class ShapeIndex(Brief):
             )
 
     def nearest(self, shape: Geometry, *, count: int = 8) -> tuple[Neighbour, ...]:
-        """Return the shapes that are most like one, the nearest first.
+        """Return the shapes that are most like one in any unit, the nearest first.
 
-        Parameters
-        ----------
-        shape : TriangleMesh or PointCloud
-            In any unit.
-        count : int, default 8
-            How many; fewer where the index holds fewer.
-
-        Returns
-        -------
-        tuple of Neighbour
-            Names and distances.
+        They are fewer than `count` where the index holds fewer.
         """
         check_count("count", count, low=1)
         if not self.names:
@@ -116,14 +106,7 @@ class ShapeIndex(Brief):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> ShapeIndex:
-        """Read what `save` wrote.
-
-        Raises
-        ------
-        InvalidFileError
-            If the file is damaged, or no index. Those of release 0.2.0 have no checksum, and are
-            read without one.
-        """
+        """Read what `save` wrote; files of release 0.2.0, which have no checksum, too."""
 
         def made(content: dict[str, Any], tensors: dict[str, Tensor]) -> ShapeIndex:
             names, digests = map(files.from_json, (content["names"], content["digests"]))

@@ -105,18 +105,7 @@ class Classifier:
         return f"Classifier({len(self.names)} classes, {self.recipe}, {self.method})"
 
     def classify(self, shape: Geometry) -> Classification:
-        """Tell what a shape is.
-
-        Parameters
-        ----------
-        shape : TriangleMesh or PointCloud
-            In any unit.
-
-        Returns
-        -------
-        Classification
-            Label, name and scores.
-        """
+        """Tell what a shape of one component is, in any unit."""
         if isinstance(self.learned, Model):
             example, _ = prepared(self.recipe, shape, self.learned.sees)
             scores = predicted(self.learned, self.recipe, example)
@@ -155,18 +144,7 @@ class Segmenter:
         return f"Segmenter({len(self.names)} classes, {self.recipe}, {self.method})"
 
     def segment(self, shape: Geometry) -> Segmentation:
-        """Tell what part each point is, and each face of a mesh.
-
-        Parameters
-        ----------
-        shape : TriangleMesh or PointCloud
-            With n points, in any unit.
-
-        Returns
-        -------
-        Segmentation
-            Labels of points and faces, and scores.
-        """
+        """Tell what part each point of a shape is, and each face of a mesh, in any unit."""
         example, seen = prepared(self.recipe, shape, self.learned.sees)
         scores = carried(seen, predicted(self.learned, self.recipe, example), shape)
         return segmentation(scores, shape, self.names)
