@@ -9,7 +9,7 @@ Everything is computed here, from procedural surfaces; only those of `real_...` 
 people made, and are left out unless --data (or SPECTRA_KIT_DATA) names the folder that has them:
 ood_public/koala.npz, spot.npz and hammer.npz, whose licences allow it. The two of the explorer are
 screenshots and need Chromium and Playwright (extra `dev`); `convergence` shows the seconds of this
-machine, `pareto` those that benchmark_eigensolvers.py measured and apps/results keeps. Needs the
+machine, `pareto` those that the study eigensolvers measured and apps/results keeps. Needs the
 extra `dev`, and a few minutes.
 """
 
@@ -43,7 +43,7 @@ from spectra_kit.geometry import creature, creature_pair, sample
 from spectra_kit.show.explorer import write_explorer
 
 ROOT = Path(__file__).parents[1]
-MEASURED = ROOT / "apps/results/cpu.json"  # benchmark.json of benchmark_eigensolvers.py
+MEASURED = ROOT / "apps/results/cpu.json"  # eigensolvers.json of the study
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What there is to choose from, by name: solvers, operators, subspaces and descriptors.
+"""What there is to choose from, by name: solvers, operators and subspaces.
 
 Each name stands here once; the command line, its help and the studies read it here. What makes the
 thing is imported when it is asked for, so that to list the names costs nothing.
@@ -89,12 +89,4 @@ SUBSPACES = MappingProxyType(
         "random": Entry("eigen.subspaces:RandomBasis", "white noise"),
         "given": Entry("eigen.subspaces:GivenBasis", "columns that are there"),
     }
-)
-
-DESCRIPTORS = _table(
-    "features",
-    heat=("heat:heat_kernel_signature", "heat that is left where it was put, over time"),
-    wave=("wave:wave_kernel_signature", "where a particle of some energy is found"),
-    gps=("distances:global_point_signature", "modes over the roots of their eigenvalues"),
-    shape_dna=("shape_dna:shape_dna", "the eigenvalues of a whole surface"),
 )

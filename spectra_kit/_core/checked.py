@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import inspect
 import os
+import sys
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -117,7 +118,8 @@ class _Signature(NamedTuple):
 class _Torch:
     """Stands for torch in annotations: it is imported only where something is computed with it."""
 
-    Tensor = dtype = Any
+    dtype = Any
+    Tensor = NewType("Tensor", object)
     device = NewType("device", object)
 
 
@@ -210,6 +212,11 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, _FLOATS) or _is_integer(value)  # a record holds many floats
 
 
+def _is_tensor(value: Any) -> bool:
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(value, torch.Tensor)
+
+
 _NUMBER_OR_NAN = NewType("_NUMBER_OR_NAN", float)
 _NONE = _Kind(("None",), lambda v: v is None, article=False)
 _NUMBER = _Kind(("number",), _is_number, several="numbers")
@@ -222,7 +229,8 @@ _SCALARS = {
     float: replace(_NUMBER, accepts=lambda v: _is_number(v) and v == v),
     _NUMBER_OR_NAN: _NUMBER,
     str: _Kind(("string",), lambda v: isinstance(v, str), several="strings"),
-    # Recognised by its name: torch is not imported for it.
+    # Torch is not imported for these: there is no tensor without it, and a device has a name.
+    _Torch.Tensor: _Kind(("Tensor",), _is_tensor),
     _Torch.device: _Kind(("torch.device",), lambda v: str(type(v)) == "<class 'torch.device'>"),
 }
 _ARRAY_LIKE = set(typing.get_args(ArrayLike))

@@ -53,11 +53,6 @@ class BlockLanczos:
     seed : int
         Of the first block.
 
-    Raises
-    ------
-    InvalidInputError
-        If `most` is no such number.
-
     Notes
     -----
     Golub and Underwood, *The block Lanczos method for computing eigenvalues*, 1977. In exact

@@ -74,17 +74,6 @@ def pcg(
     LinearSolution
         The last of its residuals is computed from x; the tolerance holds for that one.
 
-    Raises
-    ------
-    InvalidInputError
-        If sizes disagree, a value is not finite, or a tolerance is negative; if b is not in the
-        range of A, or `kernel` not its kernel; if a direction of negative energy turns up, or one
-        of none that A does not map to zero: A, or the preconditioner, is then not positive
-        semi-definite.
-    ConvergenceError
-        If the tolerance is not reached, within `max_iterations` or at all in this precision; its
-        `partial` is the solution so far.
-
     Notes
     -----
     Algorithm 1 of the NEO paper is this with `IncompleteCholesky`; its Algorithm 2 with
@@ -92,16 +81,6 @@ def pcg(
     treatment of the kernel: no point is held at zero, which would raise the condition number.
 
     Stored vectors are scaled by ``1 / ||b||``. The same bits whatever the number of threads.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from scipy import sparse
-    >>> from spectra_kit._sparse import ConstantKernel, pcg
-    >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
-    >>> solution = pcg(path, np.array([1.0, 0.0, -1.0]), kernel=ConstantKernel([0, 0, 0]))
-    >>> solution.x, solution.iterations
-    (array([ 1., 0., -1.]), 1)
     """
     clock = Clock()
     A = check_matrix(matrix)

@@ -19,11 +19,6 @@ class ConstantKernel:
         Component of each point, counted from 0. Points labelled -1 are in no component of the
         kernel: a fixed point holds theirs down.
 
-    Raises
-    ------
-    InvalidInputError
-        If `labels` is not a list of integers from -1 upwards.
-
     Examples
     --------
     >>> import numpy as np

@@ -38,13 +38,6 @@ class GroundedCholesky:
     seconds : float
         Time the factor took.
 
-    Raises
-    ------
-    InvalidInputError
-        If `matrix` is not square, finite and symmetric, or not positive definite apart from
-        `kernel`; if `kernel` is of another size or not in the kernel of `matrix`. From `solve`: if
-        the residual is not that of a solution, because the kernel is larger, or nearly so.
-
     Notes
     -----
     The solution is determined up to a constant on each component of the kernel. The factor fixes
@@ -94,24 +87,6 @@ class GroundedCholesky:
         -------
         ndarray of shape (n,)
             x, with mean zero on each component of the kernel.
-
-        Raises
-        ------
-        InvalidInputError
-            If `rhs` is of another shape, not finite or not in the range, or x is no solution.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from spectra_kit import robust_laplacian
-        >>> from spectra_kit.geometry import sphere
-        >>> from spectra_kit._sparse import ConstantKernel, GroundedCholesky
-        >>> laplacian = robust_laplacian(sphere(subdivisions=3).geometry)
-        >>> kernel = ConstantKernel(laplacian.component_labels)
-        >>> height = laplacian.points[:, 2]  # an eigenfunction of the sphere, of eigenvalue 2
-        >>> x = GroundedCholesky(laplacian.stiffness, kernel).solve(2 * laplacian.mass * height)
-        >>> bool(np.abs(x - height).max() < 0.02)
-        True
         """
         return self.solution(rhs).x
 
@@ -127,15 +102,6 @@ class GroundedCholesky:
         -------
         LinearSolution
             Of no iterations and one residual.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from scipy import sparse
-        >>> from spectra_kit._sparse import GroundedCholesky
-        >>> factor = GroundedCholesky(sparse.csr_array([[2.0, -1.0], [-1.0, 2.0]]))
-        >>> factor.solution(np.array([1.0, 1.0])).method
-        'Cholesky'
         """
         return self.solutions([rhs])[0]
 
@@ -152,14 +118,6 @@ class GroundedCholesky:
         list of LinearSolution
             Bit by bit what `solution` returns for each of them, but for the seconds: what they took
             together is shared out evenly.
-
-        Examples
-        --------
-        >>> from scipy import sparse
-        >>> from spectra_kit._sparse import GroundedCholesky
-        >>> factor = GroundedCholesky(sparse.csr_array([[2.0, -1.0], [-1.0, 2.0]]))
-        >>> [solution.x for solution in factor.solutions([[1.0, 1.0], [3.0, 0.0]])]
-        [array([1., 1.]), array([2., 1.])]
         """
         if not sides:
             return []

@@ -52,12 +52,6 @@ class IncompleteCholesky:
     seconds : float
         Time the factor took.
 
-    Raises
-    ------
-    InvalidInputError
-        If `matrix` is not square or not finite, if an option is out of range, or if the factor
-        breaks down with the largest shift still: the matrix is not positive semi-definite.
-
     Notes
     -----
     A factor always exists for M-matrices (Meijerink & van der Vorst, *Math. Comp.* 31, 1977), so
@@ -148,11 +142,6 @@ class IncompleteCholesky:
         -------
         ndarray of shape (n,)
             The x of ``P (I + L) D (I + L)^T P^T x = rhs``.
-
-        Raises
-        ------
-        InvalidInputError
-            If `rhs` is of another shape.
         """
         from spectra_kit._sparse._incomplete_kernels import solve_factor
 

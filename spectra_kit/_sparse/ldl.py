@@ -54,15 +54,6 @@ class SparseLDL:
     elimination : Elimination
         What other matrices of this pattern can share.
 
-    Raises
-    ------
-    InvalidInputError
-        If `matrix` is not square, finite and symmetric, singular, not positive definite where that
-        is asked, or of another pattern than that of `elimination`; from `solve`, if `rhs` has
-        another number of rows or `dtype` is another.
-    OutOfMemoryError
-        If the factor does not fit into memory.
-
     Notes
     -----
     A multifrontal factorisation in the order of `minimum_degree`; eight right-hand sides take
@@ -178,15 +169,6 @@ class SparseLDL:
         roundoff u and c a little above the longest row of L (Higham, *Accuracy and Stability of
         Numerical Algorithms*, 2002, ch. 11): large where a pivot was small. The norm of that
         non-negative matrix N is at most ``max (N x) / x`` for any x > 0 (Collatz and Wielandt).
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from scipy import sparse
-        >>> from spectra_kit._sparse import SparseLDL
-        >>> factor = SparseLDL(sparse.csr_array([[2.0, -1.0], [-1.0, 2.0]]))
-        >>> factor.backward_error(np.ones(2)) < 1e-14
-        True
         """
         lower = abs(self.lower)
         longest = int(np.bincount(lower.indices, minlength=1).max())
@@ -217,21 +199,6 @@ class SparseLDL:
         Returns
         -------
         ndarray of the shape of `rhs`
-
-        Raises
-        ------
-        InvalidInputError
-            If `rhs` has another number of rows or is complex, or `dtype` is neither of the two.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from scipy import sparse
-        >>> from spectra_kit._sparse import SparseLDL
-        >>> factor = SparseLDL(sparse.csr_array([[2.0, -1.0], [-1.0, 2.0]]))
-        >>> factor.solve(np.array([[1.0, 3.0], [1.0, 0.0]]))
-        array([[1., 2.],
-               [1., 1.]])
         """
         from spectra_kit._sparse._lane_kernels import LANES, solve_columns
 

@@ -34,25 +34,9 @@ def spmm(
     ndarray of shape (n, s)
         The same bits whatever the number of threads.
 
-    Raises
-    ------
-    InvalidInputError
-        If the shapes do not fit, or a dtype is neither float32 nor float64.
-
     Notes
     -----
     scipy's product runs on one core and only in the wider of the two types.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from scipy import sparse
-    >>> from spectra_kit._sparse import spmm
-    >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
-    >>> spmm(path, np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 2.0]], dtype=np.float32))
-    array([[ 0., -1.],
-           [ 0.,  0.],
-           [ 0.,  1.]], dtype=float32)
     """
     from spectra_kit._sparse._kernels import multiply_rows
 

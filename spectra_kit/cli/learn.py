@@ -24,7 +24,7 @@ from spectra_kit.cli.progress import counted, say, step
 from spectra_kit.cli.solving import check_solvers, make_solver
 from spectra_kit.cli.words import stem, told
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.features import ShapeDNA, WaveSignature
+from spectra_kit.features import ShapeDNA, WaveKernelSignature
 from spectra_kit.geometry import Geometry, PointCloud
 from spectra_kit.learn import (
     Recipe,
@@ -91,7 +91,7 @@ def similar(asked: SimilarOptions) -> None:
     check_solvers(asked, asked.solver)
     recipe = Recipe(
         embeddings=(
-            WaveSignature(count=32, width=1.5, first=3.0),
+            WaveKernelSignature(count=32, width=1.5, first=3.0),
             ShapeDNA(count=min(45, asked.k - 1)),
         ),
         k=asked.k,

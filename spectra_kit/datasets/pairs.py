@@ -30,13 +30,12 @@ from spectra_kit.maps import (
     Match,
     MatchOptions,
     Prepared,
-    ScoreWeights,
     match,
     match_collection,
     prepare,
 )
-from spectra_kit.maps.options import DEFAULT
 from spectra_kit.maps.prepare import LOWEST_K
+from spectra_kit.maps.result import DEFAULT
 
 _TILE = 4  # sources by targets that are matched one after the other: shapes are prepared anew less
 #: Prepared shapes that a worker keeps: those of a tile and the row that it works on.
@@ -299,7 +298,7 @@ def load_match(store: SpectrumStore, key: str) -> Match | None:
     facts, arrays = found
     if "options" not in facts["how"]:
         raise InvalidInputError("key", "be that of a match", repr(key))
-    return _restored(facts["how"]["options"], arrays)
+    return _restored(arrays)
 
 
 def how_of(matching: Matching, source: ShapeRecord, target: ShapeRecord) -> dict[str, object]:
@@ -365,11 +364,11 @@ def prepared(store: str, shape: str, spectrum: str) -> Prepared:
 
 
 def _arrays(match: Match) -> dict[str, NDArray[Any]]:
-    """Return all of a match but its options."""
+    """Return a match as arrays."""
     candidates = match.candidates
     judged = [
         float(match.mirrored),
-        *(np.nan if one is None else one for one in (match.orientation, match.torn)),
+        *(np.nan if one is None else one for one in (match.orientation, match.discontinuity)),
         *(match.margin, match.mirror_margin, match.consistent, match.coverage),
         *(match.clustered, *match.rims, *(match.genera or (np.nan, np.nan))),
     ]
@@ -387,12 +386,12 @@ def _arrays(match: Match) -> dict[str, NDArray[Any]]:
     }
 
 
-def _restored(options: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Match:
-    """Return the match of such arrays; lists among its options were tuples."""
-    kept = tuple((int(modes), int(count)) for modes, count in options["kept"])
-    weights = ScoreWeights(**options["weights"])
+def _restored(arrays: Mapping[str, NDArray[Any]]) -> Match:
+    """Return the match of such arrays."""
     judged: list[float] = arrays["judged"].tolist()
-    mirrored, orientation, torn, margin, mirror_margin, consistent, coverage, *more = judged
+    mirrored, orientation, discontinuity, margin, mirror_margin, consistent, coverage, *more = (
+        judged
+    )
     clustered, *rims, genus, other = more or [1.0, 0.0, 0.0, np.nan, np.nan]  # of older releases
     mismatches = {
         name.removeprefix(_MISMATCH): values.tolist()
@@ -419,9 +418,8 @@ def _restored(options: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) ->
         mirror_margin=mirror_margin,
         consistent=consistent,
         coverage=coverage,
-        torn=None if np.isnan(torn) else torn,
+        discontinuity=None if np.isnan(discontinuity) else discontinuity,
         candidates=candidates,
-        options=MatchOptions(**{**options, "kept": kept, "weights": weights}),
         clustered=clustered,
         rims=(rims[0], rims[1]),
         genera=None if np.isnan(genus) else (int(genus), int(other)),

@@ -9,7 +9,6 @@ from spectra_kit._core.checked import checked
 from spectra_kit._core.validate import check_count
 from spectra_kit._core.version import VERSION
 from spectra_kit._sparse.memory import factor_gigabytes
-from spectra_kit.catalogue import DESCRIPTORS
 from spectra_kit.eigen import Automatic, Eigensolver
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, largest_component, repair, sample
@@ -17,8 +16,6 @@ from spectra_kit.operators import Laplacian, laplacian
 
 Descriptor = Literal["hks", "wks", "gps", "dna"]
 OperatorName = Literal["stiffness", "gradient"]
-#: What they are in the catalogue; with its own default options.
-NAMES: dict[str, str] = {"hks": "heat", "wks": "wave", "gps": "gps", "dna": "shape_dna"}
 
 
 @checked
@@ -48,7 +45,7 @@ class Plan:
         Of these points.
     descriptors : tuple of {"hks", "wks", "gps", "dna"}, optional
         Signatures to keep beside the spectrum: heat and wave kernel, global point signature, and
-        ShapeDNA, each with its default options.
+        ShapeDNA, each with its default options (`features.DESCRIPTORS`).
     operators : tuple of {"stiffness", "gradient"}, optional
         Operators to keep beside the spectrum, for networks: the Laplacian; and frames with the
         gradients in them, normals outwards (`operators.tangent_gradient`).
@@ -144,8 +141,3 @@ class Plan:
         }
         kept = {"descriptors": list(self.descriptors), "operators": list(self.operators)}
         return {**self.solved, **reading, **kept}
-
-
-def describe(name: str, spectrum: object) -> object:
-    """Return a descriptor of a spectrum, by its name in a plan."""
-    return DESCRIPTORS[NAMES[name]](spectrum)

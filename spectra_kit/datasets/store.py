@@ -20,11 +20,12 @@ from spectra_kit._core.types import Floats
 from spectra_kit._core.version import VERSION
 from spectra_kit.datasets import files, housekeeping
 from spectra_kit.datasets.files import Damage, Kind, ShapeRecord, StoredEntry
-from spectra_kit.datasets.plan import Descriptor, OperatorName, Plan, describe
+from spectra_kit.datasets.plan import Descriptor, OperatorName, Plan
 from spectra_kit.eigen import Spectrum, eigensolve
 from spectra_kit.eigen.spectrum import plain
 from spectra_kit.eigen.spectrum_file import write_spectrum_file
 from spectra_kit.errors import InvalidFileError, InvalidInputError
+from spectra_kit.features import DESCRIPTORS
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh
 from spectra_kit.operators import TangentGradient, tangent_gradient
 
@@ -147,7 +148,7 @@ class SpectrumStore:
             return self.load_descriptor(key) if path.exists() else None
 
         def described() -> Floats:
-            values = np.asarray(describe(name, self.spectrum(shape, plan))).astype(plan.precision)
+            values = DESCRIPTORS[name](self.spectrum(shape, plan)).astype(plan.precision)
             with self._new("descriptors", key) as place:
                 files.write(place, facts, values=values)
             return values

@@ -1,10 +1,7 @@
 """`Spectrum`: the one object every eigensolver produces and every application consumes.
 
 What is known of its modes stands in its `Certificate`, where they come from in its `Provenance`.
-
-
-
-Interchangeable eigensolvers behind `eigensolve`.
+Eigensolvers are interchangeable, behind `eigensolve`.
 """
 
 from spectra_kit.eigen.automatic import Automatic

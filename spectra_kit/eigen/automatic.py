@@ -63,8 +63,6 @@ class Automatic:
 
     Raises
     ------
-    InvalidInputError
-        If a parameter is out of range.
     ConvergenceError
         (from `eigensolve`) if errors are estimated to be larger, and nothing goes on; ``partial``
         holds what there is.
@@ -130,12 +128,6 @@ class Automatic:
             What begins.
         reason : str
             In a few words.
-
-        Examples
-        --------
-        >>> from spectra_kit import Automatic
-        >>> Automatic(accuracy=1e-3).choose(100_000, 96)[1]
-        'errors of 0.001 on 100000 points need no factor'
         """
         needed = Lanczos.memory(n, k)
         fits = needed <= self.memory

@@ -64,11 +64,6 @@ class Cascade(OnPoints):
     seed : int, default 0
         Of random columns, where the coarsest level is too large to be solved densely.
 
-    Raises
-    ------
-    InvalidInputError
-        If a parameter is out of range, or the subspace spans fewer than k dimensions.
-
     Notes
     -----
     Cascadic multigrid (Bornemann and Deuflhard, 1996) for eigenpairs, on nested Galerkin levels

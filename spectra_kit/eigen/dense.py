@@ -32,11 +32,6 @@ class Dense:
     max_points : int, default 20_000
         Refuse larger components (3.2 GB a matrix at 20,000) rather than exhaust the memory.
 
-    Raises
-    ------
-    InvalidInputError
-        If a component has more than `max_points` points.
-
     Examples
     --------
     >>> from spectra_kit import Dense, eigensolve, robust_laplacian

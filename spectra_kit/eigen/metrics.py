@@ -126,12 +126,6 @@ def span_error(basis: NDArray[np.floating], mass: Floats, eigenvectors: Floats) 
     ndarray of shape (k,)
         ``1 - |Y^T M u_i|^2``, between 0 (inside the span) and 1 (orthogonal to it).
 
-    Raises
-    ------
-    InvalidInputError
-        If the arrays disagree in n, `basis` is not finite or all zero, or `eigenvectors` are not
-        M-orthonormal.
-
     Notes
     -----
     The span loss of the NEO paper (metric (i) of its section 5). It depends on the space alone,
@@ -242,12 +236,6 @@ def compare_spectra(
     Comparison
         The errors per mode; their means are properties.
 
-    Raises
-    ------
-    InvalidInputError
-        If the spectra belong to different points, masses or operators, the modes of one are not
-        M-orthonormal, `k` is out of range, or `cluster_gap` is negative.
-
     Notes
     -----
     `span_error`, `vector_error` and `eigenvalue_error` are the three metrics of the NEO paper
@@ -321,11 +309,6 @@ def align_modes(
     -------
     ndarray of shape (n, k)
         M-orthonormal inside each cluster; column i belongs beside exact mode i.
-
-    Raises
-    ------
-    InvalidInputError
-        As `compare_spectra`.
 
     Examples
     --------

@@ -59,8 +59,6 @@ class Neo(Rebuilt):
 
     Raises
     ------
-    InvalidInputError
-        If an option is none of the above, or the basis spans fewer than k dimensions.
     WeightsError
         If the weights are unknown, missing or damaged.
 

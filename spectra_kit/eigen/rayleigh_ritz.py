@@ -32,11 +32,6 @@ class RayleighRitz(OnPoints):
     rank_tol : float, default 1e-10
         Relative cut on the singular values of the basis; see `_sparse.orthonormalize`.
 
-    Raises
-    ------
-    InvalidInputError
-        If the numerical rank of the basis is less than k.
-
     Notes
     -----
     NEO paper, Eqs. (m_qr), (project_operators) and (uplift): Y M-orthonormal, ``Y^T L Y``,

@@ -55,8 +55,6 @@ class Refined(OnPoints):
 
     Raises
     ------
-    InvalidInputError
-        If a parameter is out of range.
     ConvergenceError
         (from `eigensolve`) if the tolerance was not reached, because of `max_sweeps` or because
         it is below rounding; ``partial`` holds all k modes as they are, and its certificate says

@@ -99,8 +99,6 @@ def eigensolve(
 
     Raises
     ------
-    InvalidInputError
-        If `k` is not an integer in [1, n_free].
     ConvergenceError
         If an iterative backend stopped short; ``partial`` holds the certified modes it had, of
         which ``n_converged`` had converged, and those of the components solved before. Modes may
@@ -143,7 +141,10 @@ def _of_matrices(given: Laplacian | sparse.sparray, mass: object, solver: Eigens
         return given
     if mass is None:
         raise InvalidInputError(
-            "mass", "go with a stiffness matrix", None, advice="write eigensolve(K, k, mass=M)"
+            "laplacian",
+            "be a Laplacian, or a matrix with its mass",
+            "no mass",
+            advice="write eigensolve(K, k, mass=M)",
         )
     if promise_of(solver) == "approximate":
         raise InvalidInputError(
@@ -189,8 +190,6 @@ def eigensolve_many(
 
     Raises
     ------
-    InvalidInputError
-        If `k` is not an integer in [1, n_free] of each, before anything is solved.
     ConvergenceError, InvalidSpectrumError, OutOfMemoryError
         As of `eigensolve`, for the first that fails.
 

@@ -141,19 +141,6 @@ class Spectrum(Rebuilt):
         -------
         Spectrum
             Of k modes, certificate included.
-
-        Raises
-        ------
-        InvalidInputError
-            If there are not as many.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from spectra_kit import Spectrum
-        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
-        >>> s.truncate(1).k
-        1
         """
         return self._modes(slice(0, check_count("k", k, low=1, high=self.k)))
 
@@ -164,13 +151,6 @@ class Spectrum(Rebuilt):
         -------
         Spectrum
             Without the first `n_zero_modes`.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from spectra_kit import Spectrum
-        >>> Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2)).nonzero().eigenvalues
-        array([1.])
         """
         return self._modes(slice(self.n_zero_modes, self.k))
 
@@ -187,19 +167,6 @@ class Spectrum(Rebuilt):
         Spectrum
             Eigenvalues over ``factor**2``, masses times that, eigenvectors over `factor`. Its
             provenance has no input hash: no solver has seen the scaled surface.
-
-        Raises
-        ------
-        InvalidInputError
-            If the factor is out of range.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from spectra_kit import Spectrum
-        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
-        >>> s.rescale(10).eigenvalues
-        array([0.  , 0.01])
         """
         if not 1 / _LARGEST_FACTOR <= check_positive("factor", factor) <= _LARGEST_FACTOR:
             raise InvalidInputError(
@@ -236,19 +203,6 @@ class Spectrum(Rebuilt):
         -------
         ndarray of shape (k,) or (k, c)
             In the unit of the functions times length.
-
-        Raises
-        ------
-        InvalidInputError
-            If there is not a finite number for each point.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from spectra_kit import Spectrum
-        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
-        >>> s.project([3.0, 4.0])
-        array([3., 4.])
         """
         f = _as_columns("values", values, self.n)
         with blas_threads_for(self.eigenvectors.size):
@@ -266,19 +220,6 @@ class Spectrum(Rebuilt):
         -------
         ndarray of shape (n,) or (n, c)
             One function, or c of them.
-
-        Raises
-        ------
-        InvalidInputError
-            If there is not a finite number for each mode.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from spectra_kit import Spectrum
-        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
-        >>> s.reconstruct(s.project([3.0, 4.0]))
-        array([3., 4.])
         """
         c = _as_columns("coefficients", coefficients, self.k)
         with blas_threads_for(self.eigenvectors.size):
@@ -298,21 +239,6 @@ class Spectrum(Rebuilt):
         -------
         ndarray of shape (n,) or (n, c)
             In the unit of f.
-
-        Raises
-        ------
-        InvalidInputError
-            If the response is of another shape, or there is not a finite number for each point.
-
-        Examples
-        --------
-        Heat diffusion for a time t (in length^2):
-
-        >>> import numpy as np
-        >>> from spectra_kit import Spectrum
-        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
-        >>> s.filter(lambda lam: np.exp(-0.5 * lam), np.array([1.0, 1.0]))
-        array([1.      , 0.6065...])
         """
         gain = np.asarray(response(self.eigenvalues), dtype=np.float64)
         if gain.shape != (self.k,):
@@ -338,20 +264,6 @@ class Spectrum(Rebuilt):
         -------
         ndarray of shape (k,)
             Within so much of each eigenvalue lies a true one.
-
-        Raises
-        ------
-        InvalidInputError
-            If `laplacian` lives on other points or has another mass, or a mode does not vanish
-            at its fixed points.
-
-        Examples
-        --------
-        >>> from spectra_kit import eigensolve, robust_laplacian
-        >>> from spectra_kit.geometry import sphere
-        >>> laplacian = robust_laplacian(sphere(subdivisions=2).geometry)
-        >>> bool(eigensolve(laplacian, 4).residuals(laplacian).max() < 1e-9)
-        True
         """
         self._check_belongs_to(laplacian)
         norms = residual_norms(
@@ -396,13 +308,6 @@ class Spectrum(Rebuilt):
         -------
         float
             0 without any modes.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from spectra_kit import Spectrum
-        >>> Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2)).orthonormality_error()
-        0.0
         """
         error = gram(self.mass, self.eigenvectors) - np.eye(self.k)
         return float(np.abs(error).max(initial=0.0))
@@ -419,21 +324,6 @@ class Spectrum(Rebuilt):
         -------
         Spectrum
             The same modes; a count of eigenvalues is not made: see `verify`.
-
-        Raises
-        ------
-        InvalidInputError
-            As of `residuals`.
-
-        Examples
-        --------
-        >>> from spectra_kit import Spectrum, eigensolve, robust_laplacian
-        >>> from spectra_kit.geometry import sphere
-        >>> laplacian = robust_laplacian(sphere(subdivisions=2).geometry)
-        >>> found = eigensolve(laplacian, 4)
-        >>> bare = Spectrum(found.eigenvalues, found.eigenvectors, found.mass)
-        >>> bare.certify(laplacian).certificate.n_zero_modes
-        1
         """
         return self.described(certificate_of(self, laplacian), self.provenance)
 
@@ -451,19 +341,6 @@ class Spectrum(Rebuilt):
         -------
         Spectrum
             Of the same arrays.
-
-        Raises
-        ------
-        InvalidInputError
-            If the certificate is of another number of modes.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from spectra_kit import Provenance, Spectrum
-        >>> s = Spectrum(np.array([0.0]), np.full((4, 1), 0.5), np.ones(4))
-        >>> s.described(None, Provenance(solver="by hand")).provenance.solver
-        'by hand'
         """
         _check_covers(certificate, self.k)
         spectrum = object.__new__(type(self))
@@ -505,18 +382,6 @@ class Spectrum(Rebuilt):
         ------
         OSError
             If it cannot be written.
-
-        Examples
-        --------
-        >>> from pathlib import Path
-        >>> from tempfile import TemporaryDirectory
-        >>> import numpy as np
-        >>> from spectra_kit import Spectrum
-        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
-        >>> with TemporaryDirectory() as folder:
-        ...     s.save(Path(folder) / "modes.npz")
-        ...     sorted(np.load(Path(folder) / "modes.npz"))[:2]
-        ['eigenvalues', 'eigenvectors']
         """
         write_spectrum_file(
             Path(path),
@@ -546,18 +411,6 @@ class Spectrum(Rebuilt):
         ------
         InvalidFileError
             If the file is not there or no spectrum, is truncated, or has a newer format version.
-
-        Examples
-        --------
-        >>> from pathlib import Path
-        >>> from tempfile import TemporaryDirectory
-        >>> import numpy as np
-        >>> from spectra_kit import Spectrum
-        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
-        >>> with TemporaryDirectory() as folder:
-        ...     s.save(Path(folder) / "modes.npz")
-        ...     Spectrum.load(Path(folder) / "modes.npz").eigenvalues
-        array([0., 1.])
         """
         path = Path(path)
         arrays, certificate, provenance = read_spectrum_file(path, mmap=mmap)
@@ -584,19 +437,6 @@ class Spectrum(Rebuilt):
         -------
         tuple of Tensor
             Of shapes (k,), (n, k) and (n,).
-
-        Raises
-        ------
-        InvalidInputError
-            If torch cannot use the device here, or the type is not real.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from spectra_kit import Spectrum
-        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
-        >>> s.to_torch()[1].shape
-        torch.Size([2, 2])
         """
         import torch
 
@@ -622,17 +462,6 @@ class Spectrum(Rebuilt):
         -------
         viz.Picture
             Which notebooks show.
-
-        Raises
-        ------
-        InvalidInputError
-            If `path` has another suffix or is in no existing folder.
-
-        Examples
-        --------
-        >>> import spectra_kit as sk
-        >>> sk.spectrum(sk.geometry.sphere(subdivisions=1).geometry, 9).plot().content[1:4]
-        b'PNG'
         """
         return draw("plot_spectrum", self, path=path)
 

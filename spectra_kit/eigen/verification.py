@@ -55,8 +55,6 @@ def verify(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
 
     Raises
     ------
-    InvalidInputError
-        If `laplacian` cannot be the operator of `spectrum`.
     OutOfMemoryError
         If a factor of ``L - sigma M`` does not fit into memory.
 

@@ -1,4 +1,4 @@
-"""Distances that all paths count in, points spread by them, and the embedding by the modes."""
+"""Distances that all paths count in, and points spread by them."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count, check_positive
 from spectra_kit.eigen import Spectrum
-from spectra_kit.features._checks import check_sources, outside_kernel
+from spectra_kit.features._spectra import Solvable, check_sources, outside_kernel, solved
 
 
 @checked
-def diffusion_distances(spectrum: Spectrum, sources: ArrayLike, *, time: float) -> Floats:
+def diffusion_distances(surface: Solvable, sources: ArrayLike, *, time: float) -> Floats:
     """Difference of the heat that spreads from two points, a time after.
 
     Parameters
     ----------
-    spectrum : Spectrum
-        k modes; zero modes take part.
+    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
+        As of `heat_kernel_signature`; zero modes take part.
     sources : array_like of shape (s,)
         Indices of points.
     time : float
@@ -31,11 +31,6 @@ def diffusion_distances(spectrum: Spectrum, sources: ArrayLike, *, time: float) 
     ndarray of shape (s, n)
         ``sqrt(sum_i exp(-2 lambda_i t) (u_i(x) - u_i(y))^2)``, in 1/length: the L2 norm of
         ``k_t(x, .) - k_t(y, .)``. Finite between components too, which share no heat.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no source, an index is out of range, or `time` is not positive.
 
     Notes
     -----
@@ -55,6 +50,7 @@ def diffusion_distances(spectrum: Spectrum, sources: ArrayLike, *, time: float) 
     >>> sk.features.diffusion_distances(spectrum, [0], time=20.0)
     array([[0., 1.]])
     """
+    spectrum = solved(surface)
     sources = check_sources("sources", sources, spectrum)
     gain = np.exp(-check_positive("time", time) * spectrum.eigenvalues)
     embedding = spectrum.eigenvectors * gain
@@ -62,13 +58,13 @@ def diffusion_distances(spectrum: Spectrum, sources: ArrayLike, *, time: float) 
 
 
 @checked
-def biharmonic_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
+def biharmonic_distances(surface: Solvable, sources: ArrayLike) -> Floats:
     """Biharmonic distances: smooth, without a parameter, and local as well as global.
 
     Parameters
     ----------
-    spectrum : Spectrum
-        k modes; the zero modes among them tell the components apart.
+    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
+        As of `heat_kernel_signature`; zero modes tell the components apart.
     sources : array_like of shape (s,)
         Indices of points.
 
@@ -77,11 +73,6 @@ def biharmonic_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
     ndarray of shape (s, n)
         ``sqrt(sum_i (u_i(x) - u_i(y))^2 / lambda_i^2)`` over the modes outside the kernel, in
         length. Infinite between components; parts that are fixed to zero somewhere count as one.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no source, an index is out of range, or all modes are zero modes.
 
     Notes
     -----
@@ -105,6 +96,7 @@ def biharmonic_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
     >>> bool(abs(distance - (3.14159 / 12) ** 0.5) < 0.01)  # the exact value of antipodes
     True
     """
+    spectrum = solved(surface)
     sources = check_sources("sources", sources, spectrum)
     embedding = _biharmonic_embedding(spectrum)
     distances = np.asarray(cdist(embedding[sources], embedding))
@@ -112,13 +104,13 @@ def biharmonic_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
 
 
 @checked
-def commute_time_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
+def commute_time_distances(surface: Solvable, sources: ArrayLike) -> Floats:
     """Roots of the time a random walk takes, on average, to a point and back.
 
     Parameters
     ----------
-    spectrum, sources
-        As of `biharmonic_distances`, like the errors.
+    surface, sources
+        As of `biharmonic_distances`.
 
     Returns
     -------
@@ -151,6 +143,7 @@ def commute_time_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
     >>> sk.features.commute_time_distances(sk.Spectrum(np.array([0.0, 1.0]), U, np.ones(2)), [0])
     array([[0., 2.]])
     """
+    spectrum = solved(surface)
     sources = check_sources("sources", sources, spectrum)
     modes = outside_kernel(spectrum)
     embedding = modes.eigenvectors / np.sqrt(modes.eigenvalues)
@@ -161,62 +154,14 @@ def commute_time_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
 
 
 @checked
-def global_point_signature(spectrum: Spectrum, count: int | None = None) -> Floats:
-    """Each point as its values in the first modes, over the roots of their eigenvalues (GPS).
-
-    Parameters
-    ----------
-    spectrum : Spectrum
-        k modes; zero modes are left out.
-    count : int, optional
-        Number of modes; by default all outside the kernel.
-
-    Returns
-    -------
-    ndarray of shape (n, count)
-        ``u_i(x) / sqrt(lambda_i)``, dimensionless. Signs, and bases inside eigenspaces, are those
-        of the spectrum: compare two surfaces by what does not see them, as the distances
-        within each (`commute_time_distances` are the square root of the area times these).
-
-    Raises
-    ------
-    InvalidInputError
-        If all modes are zero modes, or `count` is below 1 or above the number of the others.
-
-    Notes
-    -----
-    Inner products of rows are Green's function of the Laplacian, which on a surface has no finite
-    value on the diagonal: norms grow as the root of log k.
-
-    References
-    ----------
-    R. M. Rustamov, "Laplace-Beltrami eigenfunctions for deformation invariant shape
-    representation", Symposium on Geometry Processing, 2007.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import spectra_kit as sk
-    >>> spectrum = sk.Spectrum(np.array([0.0, 4.0, 25.0]), np.eye(3), np.ones(3))
-    >>> sk.features.global_point_signature(spectrum)
-    array([[0. , 0. ],
-           [0.5, 0. ],
-           [0. , 0.2]])
-    """
-    modes = outside_kernel(spectrum)
-    if count is not None:
-        modes = modes.truncate(check_count("count", count, low=1, high=modes.k))
-    return np.asarray(modes.eigenvectors / np.sqrt(modes.eigenvalues))
-
-
-@checked
-def farthest_points(spectrum: Spectrum, count: int, *, start: int | None = None) -> Ints:
+def farthest_points(surface: Solvable, count: int, *, start: int | None = None) -> Ints:
     """Pick points one after the other, each as far as possible from those before.
 
     Parameters
     ----------
-    spectrum : Spectrum
-        k modes, zero modes among them, so that every component gets a point before any gets two.
+    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
+        As of `heat_kernel_signature`; by its zero modes every component gets a point before any
+        gets two.
     count : int
         Number of points, at most n.
     start : int, optional
@@ -228,11 +173,6 @@ def farthest_points(spectrum: Spectrum, count: int, *, start: int | None = None)
     ndarray of shape (count,)
         Distinct indices, in the order in which they were picked. Without ties, they depend on the
         intrinsic geometry alone: two poses of a body without symmetries get the same places.
-
-    Raises
-    ------
-    InvalidInputError
-        If `count` or `start` is out of range, or all modes are zero modes.
 
     Notes
     -----
@@ -251,6 +191,7 @@ def farthest_points(spectrum: Spectrum, count: int, *, start: int | None = None)
     >>> sk.features.farthest_points(sk.eigensolve(laplacian, 30), 2, start=0)  # opposite corners
     array([ 0, 99])
     """
+    spectrum = solved(surface)
     check_count("count", count, low=1, high=spectrum.n)
     embedding, labels = _biharmonic_embedding(spectrum), _kernel_labels(spectrum)
     from_middle = np.sum(embedding**2, axis=1)  # squared, as all that follows

@@ -1,26 +1,78 @@
-"""The heat kernel, its diagonal as a signature, and its columns as seen from landmarks."""
+"""The heat kernel: its times, its columns, and its signature."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.threads import blas_threads_for
 from spectra_kit._core.types import Floats
+from spectra_kit._core.validate import check_count, positive_array
 from spectra_kit.eigen import Spectrum
-from spectra_kit.features._checks import check_sources, check_times
-from spectra_kit.features.grids import heat_times
+from spectra_kit.features._spectra import (
+    DAMPED,
+    Isometric,
+    Solvable,
+    check_grid,
+    check_sources,
+    outside_kernel,
+    seen_from,
+    seen_from_landmarks,
+    shares,
+    solved,
+    squares,
+    weyl,
+)
+from spectra_kit.features.embedding import Pooled, Surface
+
+_LONGEST = 1.0  # time in units of the area, by when heat has spread over all of most surfaces
 
 
 @checked
-def heat_kernel(spectrum: Spectrum, sources: ArrayLike, times: ArrayLike) -> Floats:
+def heat_times(surface: Solvable, count: int = 16) -> Floats:
+    """Times over which the heat kernel signature changes, as far as k modes can tell.
+
+    Parameters
+    ----------
+    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
+        With at least one mode outside its kernel; see `heat_kernel_signature`.
+    count : int, default 16
+        Number of times, at least 2.
+
+    Returns
+    -------
+    ndarray of shape (count,)
+        ``geomspace(4 ln 10 / lambda_max, 4 ln 10 / lambda_1)``, in length^2, where lambda_1 is
+        the smallest eigenvalue outside the kernel: the second for one component, the third for
+        two.
+
+    Notes
+    -----
+    The interval of Sun et al. (2009, see `heat_kernel_signature`): the shortest time damps the last
+    mode to 1e-4, so that truncation does not show; at the longest, so is every mode but the
+    constants.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import spectra_kit as sk
+    >>> spectrum = sk.Spectrum(np.array([0.0, 1.0, 100.0]), np.eye(3), np.ones(3))
+    >>> sk.features.heat_times(spectrum, 3) / np.log(10)
+    array([0.04, 0.4 , 4.  ])
+    """
+    return _times(solved(surface), count)
+
+
+@checked
+def heat_kernel(surface: Solvable, sources: ArrayLike, times: ArrayLike) -> Floats:
     """Heat at every point, some times after a unit of it was put on a source.
 
     Parameters
     ----------
-    spectrum : Spectrum
-        k modes; zero modes take part.
+    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
+        As of `heat_kernel_signature`; zero modes take part.
     sources : array_like of shape (s,)
         Indices of points.
     times : array_like of shape (t,)
@@ -32,11 +84,6 @@ def heat_kernel(spectrum: Spectrum, sources: ArrayLike, times: ArrayLike) -> Flo
         ``k_t(x, y) = sum_i exp(-lambda_i t) u_i(x) u_i(y)``, in 1/length^2. Each column has the
         integral 1, and 0 beyond the component of its source. For short times the truncated sum
         oscillates around zero.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no source, an index is out of range, or a time is not positive.
 
     Notes
     -----
@@ -51,41 +98,52 @@ def heat_kernel(spectrum: Spectrum, sources: ArrayLike, times: ArrayLike) -> Flo
     >>> sk.features.heat_kernel(spectrum, [1], [1.0])[0, :, 0]
     array([0.   , 0.367...])
     """
+    spectrum = solved(surface)
     sources = check_sources("sources", sources, spectrum)
-    times = check_times(times)
-    columns = seen_from(spectrum, sources, np.exp(-np.outer(times, spectrum.eigenvalues)))
-    return np.moveaxis(columns, 0, 1)
+    weights = np.exp(-np.outer(_check_times(times), spectrum.eigenvalues))
+    return np.moveaxis(seen_from(spectrum, sources, weights), 0, 1)
 
 
 @checked
 def heat_kernel_signature(
-    spectrum: Spectrum, times: ArrayLike | None = None, *, count: int = 16, scaled: bool = False
+    surface: Solvable,
+    times: ArrayLike | None = None,
+    *,
+    count: int = 16,
+    landmarks: ArrayLike | None = None,
+    scaled: bool = False,
+    logarithm: bool = False,
 ) -> Floats:
     """Heat that stays where it was put, for each point: the heat kernel signature (HKS).
 
     Parameters
     ----------
-    spectrum : Spectrum
-        k modes. Zero modes take part: they are the limit 1/area (of the component) for long
-        times. Pass ``spectrum.nonzero()`` to leave this constant out.
+    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
+        A spectrum of k modes; of anything else the 96 lowest modes are computed, by the default
+        operator and solver. Zero modes take part: they are the limit 1/area (of the component)
+        for long times. Pass ``spectrum.nonzero()`` to leave this constant out.
     times : array_like of shape (t,), optional
-        In length^2, positive; by default ``heat_times(spectrum, count)``.
+        In length^2, positive; by default ``heat_times(surface, count)``.
     count : int, default 16
         Number of times where none are given.
+    landmarks : array_like of shape (l,), optional
+        Indices of points: the heat that reaches each point from these, `heat_kernel` as a
+        descriptor. Unlike that which stays, it tells apart the two sides of a symmetric surface,
+        unless all landmarks lie on its plane of symmetry, from where mirror images look alike. On a
+        second surface, give those of the same places in the same order.
     scaled : bool, default False
         Divide each column by its heat trace ``sum_i exp(-lambda_i t)``, so that every time has
         the integral 1 over the surface and similar weight in a comparison.
+    logarithm : bool, default False
+        Return logarithms of what the signature is in units of 1/area: without a unit, and zero
+        where all heat has spread evenly. Not from landmarks, where short times have both signs.
 
     Returns
     -------
-    ndarray of shape (n, t)
+    ndarray of shape (n, t), or (n, l * t) from landmarks
         ``sum_i exp(-lambda_i t) u_i(x)^2``, in 1/length^2: multiplying lengths by s divides the
-        signature at the default times by s^2. About 1/(4 pi t) for short times.
-
-    Raises
-    ------
-    InvalidInputError
-        If a time is not positive, or there is no default for want of modes outside the kernel.
+        signature at the default times by s^2. About 1/(4 pi t) for short times. From landmarks
+        ``sum_i exp(-lambda_i t) u_i(landmark) u_i(x)``: all times of the first, then of the second.
 
     Notes
     -----
@@ -107,80 +165,65 @@ def heat_kernel_signature(
     >>> hks[0] * 4 * 3.14159
     array([4.366..., 1.005...])
     """
-    weights = _heat_weights(spectrum, times, count, scaled)
-    with blas_threads_for(spectrum.eigenvectors.size):
-        return np.asarray(spectrum.eigenvectors**2 @ weights.T)
+    spectrum = solved(surface)
+    weights = _weights(spectrum, times, count, scaled)
+    if landmarks is not None:
+        return seen_from_landmarks(spectrum, landmarks, weights, logarithm)
+    signature = squares(spectrum, weights)
+    return _logarithms(signature, spectrum.area) if logarithm else signature
 
 
 @checked
-def landmark_heat_kernel_signature(
-    spectrum: Spectrum,
-    landmarks: ArrayLike,
-    times: ArrayLike | None = None,
-    *,
-    count: int = 16,
-    scaled: bool = False,
-) -> Floats:
-    """Heat that reaches each point from some landmarks: `heat_kernel` as a descriptor.
-
-    Unlike `heat_kernel_signature`, it tells apart the two sides of a symmetric surface, unless all
-    landmarks lie on its plane of symmetry, from where mirror images look alike.
+@dataclass(frozen=True, kw_only=True)
+class HeatKernelSignature(Isometric, Pooled):
+    """Logarithms of `heat_kernel_signature`, at times that all shapes share.
 
     Parameters
     ----------
-    spectrum : Spectrum
-        k modes; zero modes take part.
-    landmarks : array_like of shape (l,)
-        Indices of points. On a second surface, give those of the same places in the same order.
-    times : array_like of shape (t,), optional
-        In length^2, positive; by default ``heat_times(spectrum, count)``.
     count : int, default 16
-        Number of times where none are given.
-    scaled : bool, default False
-        Divide by the heat trace of each time, as in `heat_kernel_signature`.
-
-    Returns
-    -------
-    ndarray of shape (n, l * t)
-        ``sum_i exp(-lambda_i t) u_i(landmark) u_i(x)`` in 1/length^2: all times of the first
-        landmark, then those of the second.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no landmark, an index is out of range, or a time is not positive.
+        Times, evenly spaced in their logarithms, from that in which the last mode of Weyl's law has
+        died down to 1e-4 to the area of the surface.
 
     Examples
     --------
-    >>> import numpy as np
     >>> import spectra_kit as sk
-    >>> spectrum = sk.Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
-    >>> sk.features.landmark_heat_kernel_signature(spectrum, [0, 1], [1.0])
-    array([[1.   , 0.   ],
-           [0.   , 0.367...]])
+    >>> ball = sk.geometry.sphere(subdivisions=3).geometry
+    >>> even = sk.features.embed(ball, sk.features.HeatKernelSignature(count=4), k=36)
+    >>> bool((even.std(axis=0) < 0.1).all())
+    True
     """
-    landmarks = check_sources("landmarks", landmarks, spectrum)
-    weights = _heat_weights(spectrum, times, count, scaled)
-    return seen_from(spectrum, landmarks, weights).reshape(spectrum.n, -1)
+
+    count: int = 16
+
+    def __post_init__(self) -> None:
+        check_count("count", self.count, low=2)
+
+    def of_points(self, surface: Surface) -> Floats:
+        """Return (n, count), zero where all heat has spread evenly."""
+        spectrum = surface.spectrum
+        times = np.geomspace(DAMPED / weyl(surface.k), _LONGEST, self.count)
+        return _logarithms(squares(spectrum, _weights(spectrum, times)), area=1.0)
 
 
-def _heat_weights(spectrum: Spectrum, times: ArrayLike | None, count: int, scaled: bool) -> Floats:
+def _times(spectrum: Spectrum, count: int) -> Floats:
+    check_count("count", count, low=2)
+    values = outside_kernel(spectrum).eigenvalues
+    return np.geomspace(DAMPED / values[-1], DAMPED / values[0], count)
+
+
+def _check_times(values: ArrayLike) -> Floats:
+    advice = "times are in length^2, `heat_times` suggests some"
+    return positive_array("times", check_grid("times", values), advice=advice)
+
+
+def _weights(
+    spectrum: Spectrum, times: ArrayLike | None, count: int = 16, scaled: bool = False
+) -> Floats:
     """Return exp(-lambda t) of shape (t, k), over its sum over the modes where `scaled`."""
-    times = heat_times(spectrum, count) if times is None else check_times(times)
+    times = _times(spectrum, count) if times is None else _check_times(times)
     exponents = -np.outer(times, spectrum.eigenvalues)
     return shares(exponents) if scaled else np.asarray(np.exp(exponents))
 
 
-def shares(exponents: Floats) -> Floats:
-    """Return ``exp(e) / sum exp(e)`` along the rows, where all of them may underflow."""
-    weights = np.exp(exponents - exponents.max(axis=1, keepdims=True))
-    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
-
-
-def seen_from(spectrum: Spectrum, points: NDArray[np.int64], weights: Floats) -> Floats:
-    """Return ``sum_i w_i u_i(x) u_i(p)``, shape (n, points, w), for weights of shape (w, k)."""
-    U = spectrum.eigenvectors
-    filtered = (U[points, None, :] * weights).reshape(-1, spectrum.k)
-    with blas_threads_for(U.size):
-        seen = U @ filtered.T
-    return np.asarray(seen).reshape(spectrum.n, len(points), len(weights))
+def _logarithms(signature: Floats, area: float) -> Floats:
+    return np.asarray(np.log(signature * area))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -13,7 +14,8 @@ from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, positive_array
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.features._checks import outside_kernel
+from spectra_kit.features._spectra import Isometric, Solvable, outside_kernel, solved, weyl
+from spectra_kit.features.embedding import Surface
 
 Normalization = Literal["area", "weyl", "first"]
 Weighting = Literal["index", "inverse"]
@@ -21,14 +23,15 @@ Weighting = Literal["index", "inverse"]
 
 @checked
 def shape_dna(
-    spectrum: Spectrum, count: int | None = None, *, normalize: Normalization | None = "area"
+    surface: Solvable, count: int | None = None, *, normalize: Normalization | None = "area"
 ) -> Floats:
     """The eigenvalues outside the kernel as a descriptor of the whole surface (ShapeDNA).
 
     Parameters
     ----------
-    spectrum : Spectrum
-        k modes; zero modes are left out, and with them the number of components.
+    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
+        A spectrum of k modes; of anything else the 96 lowest modes are computed, by the default
+        operator and solver. Zero modes are left out, and with them the number of components.
     count : int, optional
         Number of eigenvalues; by default all outside the kernel.
     normalize : {"area", "weyl", "first"} or None, default "area"
@@ -45,12 +48,6 @@ def shape_dna(
     ndarray of shape (count,)
         Ascending, dimensionless unless `normalize` is None; about ``4 pi i`` for "area" and
         "weyl".
-
-    Raises
-    ------
-    InvalidInputError
-        If all modes are zero modes, `count` is below 1 or above the number of the others, or
-        `normalize` is unknown.
 
     Notes
     -----
@@ -71,6 +68,10 @@ def shape_dna(
     >>> sk.features.shape_dna(spectrum, normalize="first")
     array([1., 2.])
     """
+    return _dna(solved(surface), count, normalize)
+
+
+def _dna(spectrum: Spectrum, count: int | None, normalize: Normalization | None = "area") -> Floats:
     values = outside_kernel(spectrum).eigenvalues
     if count is not None:
         values = values[: check_count("count", count, low=1, high=len(values))]
@@ -80,41 +81,6 @@ def shape_dna(
         index = np.arange(1, len(values) + 1)
         return np.asarray(values * (4 * np.pi * (index @ index) / (index @ values)))
     return values / values[0] if normalize == "first" else values.copy()
-
-
-@checked
-def shape_dna_distance(a: ArrayLike, b: ArrayLike, *, weight: Weighting | None = "index") -> float:
-    """Distance of two surfaces by their ShapeDNA; see `shape_dna_distances`.
-
-    Parameters
-    ----------
-    a, b : array_like of shape (count,)
-        As `shape_dna` returns them, with the same normalisation.
-    weight : {"index", "inverse"} or None, default "index"
-        As in `shape_dna_distances`.
-
-    Returns
-    -------
-    float
-        Zero for isometric surfaces, in the unit of `a` and `b`.
-
-    Raises
-    ------
-    InvalidInputError
-        As `shape_dna_distances`.
-
-    Examples
-    --------
-    >>> import spectra_kit as sk
-    >>> sk.features.shape_dna_distance([1.0, 2.0], [1.0, 4.0])
-    1.0
-    """
-    first, second = _positive("a", a), _positive("b", b)
-    if first.ndim != 1 or first.shape != second.shape:
-        raise InvalidInputError(
-            f"`a` and `b` must have the same shape (count,), got {first.shape} and {second.shape}"
-        )
-    return float(shape_dna_distances([first, second], weight=weight)[0, 1])
 
 
 @checked
@@ -138,11 +104,6 @@ def shape_dna_distances(dnas: ArrayLike, *, weight: Weighting | None = "index") 
     ndarray of shape (s, s)
         Symmetric, with zeros on the diagonal; in the unit of `dnas`, or its inverse.
 
-    Raises
-    ------
-    InvalidInputError
-        If rows differ in length, an entry is not positive or not finite, or `weight` is unknown.
-
     Notes
     -----
     "index" is the reweighting that later work on ShapeDNA settled on (Wachinger et al. 2015), and
@@ -165,7 +126,7 @@ def shape_dna_distances(dnas: ArrayLike, *, weight: Weighting | None = "index") 
            [2.  , 0.  , 3.6...],
            [3.  , 3.6..., 0.  ]])
     """
-    rows = _positive("dnas", dnas)
+    rows = positive_array("dnas", dnas, advice="`shape_dna` leaves out zero modes")
     if rows.ndim != 2 or rows.shape[1] == 0:
         raise InvalidInputError(
             "dnas",
@@ -180,5 +141,39 @@ def shape_dna_distances(dnas: ArrayLike, *, weight: Weighting | None = "index") 
     return np.asarray(squareform(pdist(rows)))
 
 
-def _positive(name: str, values: ArrayLike) -> Floats:
-    return positive_array(name, values, advice="`shape_dna` leaves out zero modes")
+@checked
+@dataclass(frozen=True, kw_only=True)
+class ShapeDNA(Isometric):
+    """The eigenvalues of `shape_dna` over those of Weyl's law, in logarithms.
+
+    Parameters
+    ----------
+    count : int, default 30
+        Eigenvalues.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> ball = sk.geometry.sphere(subdivisions=4).geometry
+    >>> sk.features.embed_shape(ball, sk.features.ShapeDNA(count=3), k=4)
+    array([ 0.69...,  0.00..., -0.4...])
+    """
+
+    count: int = 30
+
+    def __post_init__(self) -> None:
+        check_count("count", self.count, low=1)
+
+    def of_points(self, surface: Surface) -> Floats:
+        """Refuse: eigenvalues are of the whole surface."""
+        raise InvalidInputError(
+            "embedding",
+            "be one of points",
+            "ShapeDNA, which is one of whole surfaces",
+            advice="call `embed_shape`",
+        )
+
+    def of_all(self, surface: Surface) -> Floats:
+        """Return (count,): ``log(lambda_i area / (4 pi i))``."""
+        dna = _dna(surface.spectrum, self.count)
+        return np.log(dna / weyl(1) / np.arange(1, self.count + 1))

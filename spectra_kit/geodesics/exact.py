@@ -85,6 +85,9 @@ def exact_distances(
 
     A face without area counts as one whose heights are 1e-12 of its sides.
 
+    libigl has the same distances, to which the tests hold these; but not where more than two faces
+    meet in an edge, and it does not stop at `targets`.
+
     References
     ----------
     J. Chen, Y. Han, *Shortest paths on a polyhedron*, SoCG 1990.
@@ -96,7 +99,7 @@ def exact_distances(
     Over the faces of a cube to the opposite corner, a path crosses two unfolded squares:
 
     >>> from spectra_kit.geodesics import exact_distances
-    >>> from spectra_kit.geometry import Geometry, TriangleMesh
+    >>> from spectra_kit.geometry import TriangleMesh
     >>> points = [[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
     >>> faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
     >>> faces += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]

@@ -174,12 +174,6 @@ class WithinMemory:
             The former where the factors fit into `memory`.
         reason : str
             In a few words.
-
-        Examples
-        --------
-        >>> from spectra_kit.geodesics import WithinMemory
-        >>> WithinMemory(modes=12).choose(100_000, gigabytes=7.5)[1]
-        'factors would take 7.5 GiB, more than 4'
         """
         needed = 2 * factor_gigabytes(n) if gigabytes is None else gigabytes
         if needed <= self.memory:

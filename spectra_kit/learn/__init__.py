@@ -21,6 +21,7 @@ puts them side by side.
 
 from spectra_kit.learn.dataset import StoreDataset
 from spectra_kit.learn.examples import Recipe
+from spectra_kit.learn.files import load_labeller, save_labeller
 from spectra_kit.learn.fitting import Training
 from spectra_kit.learn.heads import Head, LinearDiscriminant, NearestNeighbour, SupportVectors
 from spectra_kit.learn.index import Neighbour, ShapeIndex, index_folder
@@ -40,7 +41,6 @@ from spectra_kit.learn.networks import (
     PointMLP,
     PointNet,
 )
-from spectra_kit.learn.saved import load_labeller, save_labeller
 from spectra_kit.learn.tensors import ShapeBatch, ShapeTensors, collate, normalized
 
 __all__ = [

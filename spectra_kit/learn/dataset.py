@@ -17,8 +17,7 @@ from spectra_kit._sparse.torch_device import check_float_dtype
 from spectra_kit.datasets import Plan, ShapeRecord, SpectrumStore
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh
-from spectra_kit.learn._sparse import csr_tensor
-from spectra_kit.learn.tensors import ShapeTensors
+from spectra_kit.learn.tensors import ShapeTensors, csr_tensor
 from spectra_kit.operators import laplacian, tangent_gradient
 
 
@@ -82,7 +81,9 @@ class StoreDataset(Dataset[ShapeTensors]):
     >>> for name in ("cat", "dog"):
     ...     sk.geometry.write(sk.geometry.creature(600), f"{folder}/{name}.off")
     ...     _ = sk.datasets.complete(store, name, f"{folder}/{name}.off", plan)
-    >>> dataset = sk.learn.StoreDataset(store)
+    >>> dataset = sk.learn.StoreDataset(store, transform=sk.learn.normalized)
+    >>> dataset[0].points.norm(dim=1).max()
+    tensor(1.)
     >>> for batch in DataLoader(dataset, batch_size=2, collate_fn=sk.learn.collate):
     ...     print(batch.names, batch.eigenvectors.shape)
     ('cat', 'dog') torch.Size([2, 600, 12])

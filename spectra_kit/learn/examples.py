@@ -17,10 +17,10 @@ from spectra_kit._core.validate import check_count
 from spectra_kit.eigen import Automatic, Eigensolver
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.features import Embedding, Surface, embed_batch
-from spectra_kit.features.base import finite
+from spectra_kit.features.embedding import finite
 from spectra_kit.geometry import Geometry, TriangleMesh, sample
-from spectra_kit.learn._sparse import block_diagonal, csr_tensor
 from spectra_kit.learn.networks import Batch, Need
+from spectra_kit.learn.tensors import block_diagonal, csr_tensor
 from spectra_kit.operators import tangent_gradient
 
 _STRETCH = float(np.log(4 / 3))
@@ -47,15 +47,10 @@ class Recipe:
     seed : int, default 0
         Of these points.
 
-    Raises
-    ------
-    InvalidInputError
-        If there is no embedding, or a number is out of range.
-
     Examples
     --------
     >>> import spectra_kit as sk
-    >>> waves = sk.features.WaveSignature(count=32, width=1.5, first=3)
+    >>> waves = sk.features.WaveKernelSignature(count=32, width=1.5, first=3)
     >>> recipe = sk.learn.Recipe(
     ...     embeddings=(waves, sk.features.ShapeDNA(count=45)), solver=sk.Neo()
     ... )
@@ -86,13 +81,7 @@ class Recipe:
         )
 
     def vector(self, shape: Geometry) -> Floats:
-        """Return the embeddings of a whole shape, one after the other: (c,).
-
-        Raises
-        ------
-        InvalidInputError
-            If the shape has several components, or fewer points than modes are asked for.
-        """
+        """Return the embeddings of a whole shape, one after the other: (c,)."""
         surface = _surface(self, _seen(self, shape))
         return finite(np.concatenate([e.of_all(surface) for e in self.embeddings]))
 

@@ -26,6 +26,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry
 from spectra_kit.learn.examples import Example, Recipe, batched, stretched
 from spectra_kit.learn.networks import Batch, Network, pooled
+from spectra_kit.learn.tensors import UNKNOWN
 from spectra_kit.neo.train import checkpoint
 
 _WARMUP = 0.1  # of all steps
@@ -33,7 +34,6 @@ _TURNED = [
     Tensor(rotation[None])
     for rotation in Rotation.random(4, rng=np.random.default_rng(0)).as_matrix()
 ]
-UNKNOWN = -1  #: label of points that nothing is known of
 
 
 @checked
@@ -61,11 +61,6 @@ class Training:
         operators need them all, and so do labels of faces.
     seed : int, default 0
         Of weights, order, rotations and points.
-
-    Raises
-    ------
-    InvalidInputError
-        If a parameter is out of range.
     """
 
     epochs: int = 40

@@ -43,11 +43,6 @@ class NearestNeighbour:
     scaled : bool, default True
         Divide each column by its standard deviation over the examples.
 
-    Raises
-    ------
-    InvalidInputError
-        If `neighbours` is less than 1.
-
     Examples
     --------
     >>> import numpy as np
@@ -64,15 +59,7 @@ class NearestNeighbour:
         check_count("neighbours", self.neighbours, low=1)
 
     def fit(self, vectors: ArrayLike, labels: ArrayLike) -> Any:
-        """Return it with its examples.
-
-        Raises
-        ------
-        InvalidInputError
-            If there are fewer examples than neighbours.
-        MissingDependencyError
-            Without scikit-learn.
-        """
+        """Return it with its examples."""
         vectors, labels = _examples(vectors, labels)
         if len(vectors) < self.neighbours:
             raise InvalidInputError(
@@ -92,13 +79,7 @@ class LinearDiscriminant:
     """
 
     def fit(self, vectors: ArrayLike, labels: ArrayLike) -> Any:
-        """Return it fitted.
-
-        Raises
-        ------
-        MissingDependencyError
-            Without scikit-learn.
-        """
+        """Return it fitted."""
         vectors, labels = _examples(vectors, labels)
         if len(set(labels.tolist())) == len(labels):
             return NearestNeighbour().fit(vectors, labels)
@@ -115,11 +96,6 @@ class SupportVectors:
     ----------
     penalty : float, default 10
         Of examples on the wrong side.
-
-    Raises
-    ------
-    InvalidInputError
-        If `penalty` is not positive.
     """
 
     penalty: float = 10.0
@@ -128,13 +104,7 @@ class SupportVectors:
         check_positive("penalty", self.penalty)
 
     def fit(self, vectors: ArrayLike, labels: ArrayLike) -> Any:
-        """Return them fitted.
-
-        Raises
-        ------
-        MissingDependencyError
-            Without scikit-learn.
-        """
+        """Return them fitted."""
         vectors, labels = _examples(vectors, labels)
         support = _sklearn("svm").SVC(C=self.penalty)
         return _fitted(support, True, vectors, labels)

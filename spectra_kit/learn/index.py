@@ -20,7 +20,7 @@ from spectra_kit._core.version import VERSION
 from spectra_kit.errors import InvalidInputError, SpectraKitError
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh, read
 from spectra_kit.geometry.io import READERS, readable_files
-from spectra_kit.learn import _files
+from spectra_kit.learn import files
 from spectra_kit.learn.examples import Recipe
 
 
@@ -74,24 +74,9 @@ class ShapeIndex(Brief):
             )
 
     def nearest(self, shape: Geometry, *, count: int = 8) -> tuple[Neighbour, ...]:
-        """Return the shapes that are most like one, the nearest first.
+        """Return the shapes that are most like one in any unit, the nearest first.
 
-        Parameters
-        ----------
-        shape : TriangleMesh or PointCloud
-            In any unit.
-        count : int, default 8
-            How many; fewer where the index holds fewer.
-
-        Returns
-        -------
-        tuple of Neighbour
-            Names and distances.
-
-        Raises
-        ------
-        InvalidInputError
-            If the index is empty, or the recipe refuses the shape.
+        They are fewer than `count` where the index holds fewer.
         """
         check_count("count", count, low=1)
         if not self.names:
@@ -115,27 +100,20 @@ class ShapeIndex(Brief):
             "kind": "ShapeIndex",
             "names": self.names,
             "digests": self.digests,
-            "recipe": _files.as_json(self.recipe),
+            "recipe": files.as_json(self.recipe),
         }
-        _files.write(path, content, {"vectors": torch.tensor(self.vectors)})
+        files.write(path, content, {"vectors": torch.tensor(self.vectors)})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> ShapeIndex:
-        """Read what `save` wrote.
-
-        Raises
-        ------
-        InvalidFileError
-            If the file is damaged, or no index. Those of release 0.2.0 have no checksum, and are
-            read without one.
-        """
+        """Read what `save` wrote; files of release 0.2.0, which have no checksum, too."""
 
         def made(content: dict[str, Any], tensors: dict[str, Tensor]) -> ShapeIndex:
-            names, digests = map(_files.from_json, (content["names"], content["digests"]))
-            recipe, vectors = _files.from_json(content["recipe"]), tensors["vectors"].numpy()
+            names, digests = map(files.from_json, (content["names"], content["digests"]))
+            recipe, vectors = files.from_json(content["recipe"]), tensors["vectors"].numpy()
             return cls(recipe, names, digests, vectors)
 
-        return _files.read(path, "index", made)
+        return files.read(path, "index", made)
 
 
 @checked
@@ -168,11 +146,6 @@ def index_folder(
     ShapeIndex
         Files that could not be embedded are in its ``failures``.
 
-    Raises
-    ------
-    InvalidInputError
-        If the folder does not exist or holds no such file.
-
     Examples
     --------
     >>> import tempfile
@@ -189,8 +162,8 @@ def index_folder(
     ['animal0.off', 'animal1.off']
     """
     folder = Path(folder)
-    files = readable_files(folder.iterdir()) if folder.is_dir() else []
-    if not files:
+    paths = readable_files(folder.iterdir()) if folder.is_dir() else []
+    if not paths:
         raise InvalidInputError(
             "folder",
             f"hold meshes or clouds ({', '.join(sorted(READERS))})",
@@ -199,7 +172,7 @@ def index_folder(
     old = {} if known is None else dict(zip(known.digests, known.vectors, strict=True))
     made: dict[str, tuple[str, Floats]] = {}
     failures: dict[str, SpectraKitError] = {}
-    for i, path in enumerate(files):
+    for i, path in enumerate(paths):
         try:
             shape = load(str(path))
             if not isinstance(shape, TriangleMesh | PointCloud):
@@ -209,7 +182,7 @@ def index_folder(
         except SpectraKitError as error:
             failures[path.name] = error.with_traceback(None)  # else it keeps the shape
         if progress is not None:
-            progress(i + 1, len(files))
+            progress(i + 1, len(paths))
     vectors = [vector for _, vector in made.values()]
     digests = tuple(digest for digest, _ in made.values())
     rows = np.array(vectors) if vectors else np.empty((0, 0))

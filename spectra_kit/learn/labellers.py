@@ -20,9 +20,10 @@ from spectra_kit._core.validate import as_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, sample_with_origin
 from spectra_kit.learn.examples import Example, Recipe, prepared
-from spectra_kit.learn.fitting import UNKNOWN, Model, Training, fit, predicted, with_copies
+from spectra_kit.learn.fitting import Model, Training, fit, predicted, with_copies
 from spectra_kit.learn.heads import Head
 from spectra_kit.learn.networks import Network
+from spectra_kit.learn.tensors import UNKNOWN
 
 _CLASSES = 1 << 16
 _CARRIED_BY = 3  # nearest sampled points tell a vertex its label
@@ -104,23 +105,7 @@ class Classifier:
         return f"Classifier({len(self.names)} classes, {self.recipe}, {self.method})"
 
     def classify(self, shape: Geometry) -> Classification:
-        """Tell what a shape is.
-
-        Parameters
-        ----------
-        shape : TriangleMesh or PointCloud
-            In any unit.
-
-        Returns
-        -------
-        Classification
-            Label, name and scores.
-
-        Raises
-        ------
-        InvalidInputError
-            If the shape has several components, or fewer points than modes are asked for.
-        """
+        """Tell what a shape of one component is, in any unit."""
         if isinstance(self.learned, Model):
             example, _ = prepared(self.recipe, shape, self.learned.sees)
             scores = predicted(self.learned, self.recipe, example)
@@ -159,23 +144,7 @@ class Segmenter:
         return f"Segmenter({len(self.names)} classes, {self.recipe}, {self.method})"
 
     def segment(self, shape: Geometry) -> Segmentation:
-        """Tell what part each point is, and each face of a mesh.
-
-        Parameters
-        ----------
-        shape : TriangleMesh or PointCloud
-            With n points, in any unit.
-
-        Returns
-        -------
-        Segmentation
-            Labels of points and faces, and scores.
-
-        Raises
-        ------
-        InvalidInputError
-            If the shape has several components, or fewer points than modes are asked for.
-        """
+        """Tell what part each point of a shape is, and each face of a mesh, in any unit."""
         example, seen = prepared(self.recipe, shape, self.learned.sees)
         scores = carried(seen, predicted(self.learned, self.recipe, example), shape)
         return segmentation(scores, shape, self.names)
@@ -260,14 +229,6 @@ def train_classifier(
     Classifier
         Ready, and to be saved by `save_labeller`.
 
-    Raises
-    ------
-    InvalidInputError
-        If labels do not fit the shapes, a class has no example, there is only one class, or torch
-        cannot use the device.
-    MissingDependencyError
-        Without the packages that the method needs.
-
     Examples
     --------
     >>> import spectra_kit as sk
@@ -334,14 +295,6 @@ def train_segmenter(
     -------
     Segmenter
         Ready, and to be saved by `save_labeller`.
-
-    Raises
-    ------
-    InvalidInputError
-        If labels do not fit the points or faces, a class has no example, there is only one class,
-        or training sees some points alone where labels are of faces.
-    MissingDependencyError
-        Without the packages that the method needs.
 
     Examples
     --------

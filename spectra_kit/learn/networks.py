@@ -19,6 +19,7 @@ from torch.nn.utils.rnn import pad_sequence
 from spectra_kit._core.checked import checked
 from spectra_kit._core.validate import check_count
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.learn.tensors import moved
 from spectra_kit.neo.backbones import PointNetPlusPlus, PointTransformer
 from spectra_kit.neo.model import NeoConfig
 
@@ -42,20 +43,7 @@ class Batch(NamedTuple):
 
     def to(self, device: str | torch.device) -> Batch:
         """Return the same on a device."""
-
-        def moved(part: Tensor | None) -> Tensor | None:
-            return None if part is None else part.to(device)
-
-        along, across = self.slopes or (None, None)
-        features, points, mass = (part.to(device) for part in self[:3])
-        return Batch(
-            features,
-            points,
-            mass,
-            moved(self.eigenvalues),
-            moved(self.eigenvectors),
-            None if along is None or across is None else (along.to(device), across.to(device)),
-        )
+        return Batch(*(moved(part, device) for part in self))
 
 
 @runtime_checkable
@@ -205,13 +193,7 @@ class Hierarchical(_NoOperator):
     features: bool = True
 
     def build(self, inputs: int, outputs: int) -> nn.Module:
-        """Return the module.
-
-        Raises
-        ------
-        MissingDependencyError
-            Without PyTorch Geometric.
-        """
+        """Return the module."""
         return _Hierarchical(self, inputs if self.features else 0, outputs)
 
 

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
 import torch
+from scipy import sparse
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
 from spectra_kit._core.checked import checked
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.interop import DiffusionNetTensors
-from spectra_kit.learn import _sparse
-from spectra_kit.learn.fitting import UNKNOWN
 
+UNKNOWN = -1  #: label of points that nothing is known of
 _POWERS = {"hks": -2, "wks": -2, "gps": 0, "dna": 0}  # of length, in the unit of descriptors
+
+with warnings.catch_warnings():
+    # PyTorch says once in a process that CSR is in beta and that invariants are not checked: where
+    # it is used first, be it by the tensors of a worker that arrive. It is said here, to nobody.
+    warnings.filterwarnings("ignore", "Sparse ", UserWarning)
+    torch.sparse_csr_tensor([0, 1], [0], [1.0])
 
 
 class ShapeTensors(NamedTuple):
@@ -62,16 +70,10 @@ class ShapeTensors(NamedTuple):
 
     def to(self, device: str | torch.device) -> ShapeTensors:
         """Return the same on a device."""
-        return ShapeTensors(*(_moved(part, device) for part in self))
+        return ShapeTensors(*(moved(part, device) for part in self))
 
     def diffusion_net(self) -> DiffusionNetTensors:
-        """Return what DiffusionNet's ``get_operators`` would: see `interop.to_diffusion_net`.
-
-        Raises
-        ------
-        InvalidInputError
-            If operators were not asked for.
-        """
+        """Return what DiffusionNet's ``get_operators`` would: see `interop.to_diffusion_net`."""
         L, frames, x, y = _operators(self)
         L, x, y = (matrix.to_sparse() for matrix in (L, x, y))
         return DiffusionNetTensors(frames, self.mass, L, self.eigenvalues, self.eigenvectors, x, y)
@@ -144,18 +146,12 @@ class ShapeBatch(NamedTuple):
 
     def to(self, device: str | torch.device) -> ShapeBatch:
         """Return the same on a device."""
-        return ShapeBatch(*(_moved(part, device) for part in self))
+        return ShapeBatch(*(moved(part, device) for part in self))
 
     def diffusion_net(self) -> DiffusionNetTensors:
-        """Return what the layers of DiffusionNet take for a batch: sparse COO (b, n, n).
-
-        Raises
-        ------
-        InvalidInputError
-            If operators were not asked for.
-        """
+        """Return what the layers of DiffusionNet take for a batch: sparse COO (b, n, n)."""
         L, frames, x, y = _operators(self)
-        L, x, y = (_sparse.blocks(matrix, len(self.names)) for matrix in (L, x, y))
+        L, x, y = (blocks(matrix, len(self.names)) for matrix in (L, x, y))
         return DiffusionNetTensors(frames, self.mass, L, self.eigenvalues, self.eigenvectors, x, y)
 
 
@@ -172,26 +168,6 @@ def collate(items: Sequence[ShapeTensors]) -> ShapeBatch:
     -------
     ShapeBatch
         Padded by zeros, labels by -1.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is none, or they differ in what they have.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> import spectra_kit as sk
-    >>> from spectra_kit.learn import StoreDataset, collate
-    >>> store, plan = sk.datasets.SpectrumStore(tempfile.mkdtemp()), sk.datasets.Plan(k=12)
-    >>> for n in (500, 600):
-    ...     path = f"{tempfile.mkdtemp()}/animal.off"
-    ...     sk.geometry.write(sk.geometry.creature(n), path)
-    ...     _ = sk.datasets.complete(store, f"animal of {n} points", path, plan)
-    >>> dataset = StoreDataset(store)
-    >>> batch = collate([dataset[0], dataset[1]])
-    >>> batch.eigenvectors.shape, batch.gradient_x.shape
-    (torch.Size([2, 600, 12]), torch.Size([1200, 1200]))
     """
     if not items:
         raise InvalidInputError("items", "hold at least one shape", "none")
@@ -201,9 +177,9 @@ def collate(items: Sequence[ShapeTensors]) -> ShapeBatch:
     points, faces = (_padded(items, name) for name in ("points", "faces"))
     n = points.shape[1]
 
-    def block_diagonal(name: str) -> Tensor | None:
+    def side_by_side(name: str) -> Tensor | None:
         matrices = _of_all(items, name)
-        return _sparse.block_diagonal(matrices, n) if matrices else None
+        return block_diagonal(matrices, n) if matrices else None
 
     return ShapeBatch(
         tuple(item.name for item in items),
@@ -215,10 +191,10 @@ def collate(items: Sequence[ShapeTensors]) -> ShapeBatch:
         torch.stack([item.eigenvalues for item in items]),
         _padded(items, "eigenvectors"),
         _descriptors(items),
-        block_diagonal("stiffness"),
+        side_by_side("stiffness"),
         _padded(items, "frames") if _of_all(items, "frames") else None,
-        block_diagonal("gradient_x"),
-        block_diagonal("gradient_y"),
+        side_by_side("gradient_x"),
+        side_by_side("gradient_y"),
         _labels(items),
     )
 
@@ -230,7 +206,7 @@ def normalized(item: ShapeTensors, *, by: Literal["radius", "area"] = "radius") 
     Parameters
     ----------
     item : ShapeTensors
-        In any unit.
+        In any unit, without descriptors of your own: add those after it.
     by : {"radius", "area"}, default "radius"
         What becomes one: the largest distance from the mean, as in DiffusionNet's scripts, or the
         area, as networks of this package see it.
@@ -239,23 +215,6 @@ def normalized(item: ShapeTensors, *, by: Literal["radius", "area"] = "radius") 
     -------
     ShapeTensors
         All of it in the new unit.
-
-    Raises
-    ------
-    InvalidInputError
-        If it has descriptors of names that stores do not know, whose unit is not known.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> import spectra_kit as sk
-    >>> from spectra_kit.learn import StoreDataset, normalized
-    >>> store, path = sk.datasets.SpectrumStore(tempfile.mkdtemp()), f"{tempfile.mkdtemp()}/cat.off"
-    >>> sk.geometry.write(sk.geometry.creature(600), path)
-    >>> _ = sk.datasets.complete(store, "cat", path, sk.datasets.Plan(k=12))
-    >>> cat = StoreDataset(store, transform=normalized)[0]
-    >>> cat.points.norm(dim=1).max()
-    tensor(1.)
     """
     if unknown := sorted(set(item.descriptors) - set(_POWERS)):
         raise InvalidInputError(
@@ -267,7 +226,7 @@ def normalized(item: ShapeTensors, *, by: Literal["radius", "area"] = "radius") 
     points = item.points - item.points.mean(dim=0)
     unit = points.norm(dim=1).max() if by == "radius" else item.mass.sum().sqrt()
     x, y = (
-        None if matrix is None else _sparse.scaled(matrix, unit)
+        None if matrix is None else scaled(matrix, unit)
         for matrix in (item.gradient_x, item.gradient_y)
     )
     return item._replace(
@@ -283,9 +242,12 @@ def normalized(item: ShapeTensors, *, by: Literal["radius", "area"] = "radius") 
     )
 
 
-def _moved(part: Any, device: str | torch.device) -> Any:
+def moved(part: Any, device: str | torch.device) -> Any:
+    """Return tensors, or what holds them, on a device, and anything else as it is."""
     if isinstance(part, Mapping):
         return {name: values.to(device) for name, values in part.items()}
+    if isinstance(part, tuple):
+        return tuple(moved(one, device) for one in part)
     return part.to(device) if isinstance(part, Tensor) else part
 
 
@@ -339,3 +301,42 @@ def _labels(items: Sequence[ShapeTensors]) -> Tensor | None:
     if not labels or labels[0].ndim == 0:
         return torch.stack(labels) if labels else None
     return pad_sequence(labels, batch_first=True, padding_value=UNKNOWN)
+
+
+def csr_tensor(matrix: sparse.csr_array, dtype: torch.dtype) -> Tensor:
+    """Return a SciPy matrix as a sparse CSR tensor."""
+    rows, columns = (part.astype(np.int64) for part in (matrix.indptr, matrix.indices))
+    values = torch.tensor(matrix.data, dtype=dtype)
+    return _csr(torch.from_numpy(rows), torch.from_numpy(columns), values, matrix.shape)
+
+
+def scaled(matrix: Tensor, factor: Tensor) -> Tensor:
+    """Return a CSR tensor times a number."""
+    return _csr(matrix.crow_indices(), matrix.col_indices(), matrix.values() * factor, matrix.shape)
+
+
+def block_diagonal(matrices: Sequence[Tensor], n: int) -> Tensor:
+    """Return b square CSR tensors along the diagonal of one (b n, b n): rows up to n are empty."""
+    device = matrices[0].device
+    counts = torch.zeros(len(matrices), n, dtype=torch.int64, device=device)  # entries of each row
+    for row, matrix in zip(counts, matrices, strict=True):
+        row[: len(matrix)] = matrix.crow_indices().diff()
+    rows = torch.cat([counts.new_zeros(1), counts.flatten().cumsum(0)])
+    columns = torch.cat([matrix.col_indices() + i * n for i, matrix in enumerate(matrices)])
+    values = torch.cat([matrix.values() for matrix in matrices])
+    return _csr(rows, columns, values, (len(rows) - 1,) * 2)
+
+
+def blocks(matrix: Tensor, b: int) -> Tensor:
+    """Return the b blocks of a diagonal, side by side: sparse COO (b, n, n)."""
+    n = len(matrix) // b
+    coo = matrix.to_sparse()
+    rows, columns = coo.indices()
+    where = torch.stack([rows // n, rows % n, columns % n])
+    return torch.sparse_coo_tensor(
+        where, coo.values(), (b, n, n), is_coalesced=True, check_invariants=False
+    )
+
+
+def _csr(rows: Tensor, columns: Tensor, values: Tensor, size: tuple[int, ...]) -> Tensor:
+    return torch.sparse_csr_tensor(rows, columns, values, size, check_invariants=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,10 +12,10 @@ from scipy import sparse
 from spectra_kit._core.checked import checked
 from spectra_kit._core.threads import in_threads, single_threaded_blas
 from spectra_kit._core.types import Bools, Floats, Ints
-from spectra_kit._core.validate import check_count, quantity, warn
+from spectra_kit._core.validate import check_count
 from spectra_kit.eigen import Spectrum
-from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
-from spectra_kit.features import landmark_wave_kernel_signature, normalize_descriptors
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.features import normalize_descriptors, wave_kernel_signature
 from spectra_kit.geometry import Geometry
 from spectra_kit.maps.calibration import score_of
 from spectra_kit.maps.candidates import bent, rigid_candidates, side_of, sign_candidates
@@ -39,7 +39,7 @@ from spectra_kit.maps.prepare import (
     prepared,
     truncated,
 )
-from spectra_kit.maps.result import DEFAULT, Candidate, Match, MatchOptions
+from spectra_kit.maps.result import DEFAULT, Candidate, Match, MatchOptions, warn_of
 from spectra_kit.maps.score import (
     Pairs,
     coverage_over_chance,
@@ -47,7 +47,7 @@ from spectra_kit.maps.score import (
     orientation_of,
     scored,
 )
-from spectra_kit.maps.surface import Surface, clustered, discontinuity, topology_of
+from spectra_kit.maps.surface import Surface, clustered, discontinuity, topologies
 from spectra_kit.maps.zoomout import both_ways, many_zoomed
 
 _SEEN_FROM = 12  # landmarks at most: all are fitted, but the time grows with what each sees
@@ -248,41 +248,12 @@ def matched_from(
         candidates=(chosen, *others),
         precise=on_faces,
         clustered=max(clustered(side.spectrum.eigenvalues) for side in (a, b)),
-        **(_topologies(a.whole_surface, b.whole_surface) if seen else {}),
+        **(topologies(a.whole_surface, b.whole_surface) if seen else {}),
         landmark_distances=apart,
         lost_from=lost_from,
     )
-    told_of(result)
+    warn_of(result)
     return result
-
-
-def told_of(found: Match) -> None:
-    """Warn of a match that does not convince, or keep its landmarks."""
-    held, apart = found.landmarks_held, found.landmark_distances
-    lost = ""
-    if held is not None and apart is not None and not held.all():
-        lost = (
-            f"{(~held).sum()} of {quantity(len(held), 'landmark')} are lost: the map leads"
-            f" {apart.max():.2g} times the root of the area away from them (at"
-            f" most {found.lost_from:.2g} is exact enough)"
-        )
-    if found.convincing and not lost:
-        return
-    doubts = [doubt for doubt in found.doubts if not (lost and doubt == "landmark_distances")]
-    against = "; ".join(filter(None, (", ".join(doubts), lost))) or "nothing alone"
-    convincing = "a map in doubt" if found.convincing else "no convincing map"
-    told = f"{convincing}: its confidence is {found.confidence:.2f}; what speaks against it: "
-    if lost:
-        advice = "look there: the map may be wrong, or these contradict each other"
-        warn(told + against, DoubtfulMatchWarning, advice=advice)
-        return
-    warn(
-        told + against,
-        DoubtfulMatchWarning,
-        advice="the surfaces may not correspond; look at the map, give {}, or try another"
-        " {} (150 match best)",
-        remedies=("landmarks", "k"),
-    )
 
 
 def _settled(a: Prepared, b: Prepared, candidates: Sequence[Candidate], rounds: int) -> Candidate:
@@ -455,7 +426,9 @@ class Search:
                 np.hstack(
                     [
                         side.wave,
-                        landmark_wave_kernel_signature(side.spectrum, points[::every], count=count),
+                        wave_kernel_signature(
+                            side.spectrum, count=count, landmarks=points[::every]
+                        ),
                     ]
                 ),
             )
@@ -490,20 +463,15 @@ def _apart(c: _Scored, other: _Scored) -> float:
     return float(((C - other.functional_map) ** 2).sum() / len(C))
 
 
-def _topologies(source: Surface, target: Surface) -> dict[str, Any]:
-    """Return the topologies of both as `Match` has them."""
-    one, other = topology_of(source), topology_of(target)
-    known = one.genus is not None and other.genus is not None
-    return {"genera": (one.genus, other.genus) if known else None, "rims": (one.rim, other.rim)}
-
-
 def _prepared(
     name: str, side: Geometry | Spectrum | Prepared, geometry: Geometry | None
 ) -> Prepared:
     if isinstance(side, Spectrum):
         return prepared(side, geometry)
     if geometry is not None:
-        raise InvalidInputError(f"{name}_geometry", "be left out but of a spectrum", "one")
+        raise InvalidInputError(
+            f"{name}_geometry", f"be left out where `{name}` is no Spectrum", "one"
+        )
     return side if isinstance(side, Prepared) else prepared(side)
 
 

@@ -10,8 +10,15 @@ from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Bools, Floats, Ints
-from spectra_kit._core.validate import Rebuilt, check_count, check_weights, real_array
-from spectra_kit.errors import InvalidInputError
+from spectra_kit._core.validate import (
+    Rebuilt,
+    check_count,
+    check_weights,
+    quantity,
+    real_array,
+    warn,
+)
+from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.maps import calibration
 
 #: What may be wrong with a map: see `Match.doubts`.
@@ -318,6 +325,35 @@ class Match(Rebuilt):
             sure = f"{self.covered.sum()} covered"
         size = f"{len(self.point_map)} points, k={len(self.functional_map)}"
         return f"Match({size}, {how}, {sure}{doubt})"
+
+
+def warn_of(found: Match) -> None:
+    """Warn of a match that does not convince, or keep its landmarks."""
+    held, apart = found.landmarks_held, found.landmark_distances
+    lost = ""
+    if held is not None and apart is not None and not held.all():
+        lost = (
+            f"{(~held).sum()} of {quantity(len(held), 'landmark')} are lost: the map leads"
+            f" {apart.max():.2g} times the root of the area away from them (at"
+            f" most {found.lost_from:.2g} is exact enough)"
+        )
+    if found.convincing and not lost:
+        return
+    doubts = [doubt for doubt in found.doubts if not (lost and doubt == "landmark_distances")]
+    against = "; ".join(filter(None, (", ".join(doubts), lost))) or "nothing alone"
+    convincing = "a map in doubt" if found.convincing else "no convincing map"
+    told = f"{convincing}: its confidence is {found.confidence:.2f}; what speaks against it: "
+    if lost:
+        advice = "look there: the map may be wrong, or these contradict each other"
+        warn(told + against, DoubtfulMatchWarning, advice=advice)
+        return
+    warn(
+        told + against,
+        DoubtfulMatchWarning,
+        advice="the surfaces may not correspond; look at the map, give {}, or try another"
+        " {} (150 match best)",
+        remedies=("landmarks", "k"),
+    )
 
 
 def _as_good(other: Candidate, chosen: Candidate) -> bool:

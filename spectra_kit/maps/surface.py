@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -173,6 +173,13 @@ def topology_of(surface: Surface) -> Topology:
         return Topology(None, rim)
     euler = len(np.unique(faces)) - len(edges) + len(faces) + int(np.count_nonzero(around))
     return Topology((2 - euler) // 2 if euler % 2 == 0 else None, rim)
+
+
+def topologies(source: Surface, target: Surface) -> dict[str, Any]:
+    """Return the topologies of both as `Match` has them."""
+    one, other = topology_of(source), topology_of(target)
+    known = one.genus is not None and other.genus is not None
+    return {"genera": (one.genus, other.genus) if known else None, "rims": (one.rim, other.rim)}
 
 
 def clustered(eigenvalues: Floats) -> float:

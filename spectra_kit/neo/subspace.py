@@ -104,11 +104,30 @@ class NeoSubspace(Rebuilt):
         """Number of columns of the basis: the constant, and m for each pose."""
         return 1 + self.poses * self._model.config.m
 
+    @property
+    def principal(self) -> bool:
+        """Whether it sees points in their principal frame, in which rotations change nothing."""
+        network = self.network if isinstance(self.network, NeoNetwork) else self._model
+        return network.config.frame == "principal"
+
+    def functions(self, posed: torch.Tensor, mass: torch.Tensor) -> torch.Tensor:
+        """Return the mean over the poses, (b, n, m), at posed points (b, n, 3) of masses (b, n).
+
+        Gradients reach the points, and the weights of a network that was given.
+        """
+        given = self.network if isinstance(self.network, NeoNetwork) else None
+        model = given.to(posed.device) if given else self._model
+        place = posed.device if given else self.device
+        x, weights = posed.to(place), mass.to(place)
+        flips = torch.tensor(POSES[: self.poses]).to(x)
+        total: torch.Tensor = sum(model(x * flip, weights) for flip in flips) / self.poses
+        return total.to(posed)
+
     def frame(self, points: ArrayLike, mass: ArrayLike) -> Frame:
         """Return the similarity transform that the network expects."""
         points = check_points("points", points)
         mass = check_mass("mass", mass, len(points))
-        if self._model.config.frame == "principal":
+        if self.principal:
             return canonical_frame(points, mass)
         centre = mass @ points / mass.sum()
         return Frame(centre, np.eye(3), float(np.abs(points - centre).max()))

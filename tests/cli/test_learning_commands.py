@@ -8,7 +8,7 @@ from conftest import creature
 from running import printed, record, refusal
 
 from spectra_kit.cli import main
-from spectra_kit.features import HeatSignature, ShapeDNA
+from spectra_kit.features import HeatKernelSignature, ShapeDNA
 from spectra_kit.geometry import PointCloud, TriangleMesh, sphere, torus, write
 from spectra_kit.learn import (
     NearestNeighbour,
@@ -41,7 +41,7 @@ def labellers(tmp_path_factory):
     )
     parts = train_segmenter(
         [animal], [(animal.points[:, 2] > 0).astype(int)], names=["low", "high"],
-        recipe=Recipe(embeddings=(HeatSignature(count=6),), k=20), method=PointMLP(width=8),
+        recipe=Recipe(embeddings=(HeatKernelSignature(count=6),), k=20), method=PointMLP(width=8),
         training=Training(epochs=3),
     )  # fmt: skip
     save_labeller(folder / "whole.safetensors", whole)

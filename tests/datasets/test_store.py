@@ -19,10 +19,8 @@ from conftest import bumpy, creature, refused
 
 import spectra_kit as sk
 from spectra_kit._core.fingerprint import facts_digest
-from spectra_kit.catalogue import DESCRIPTORS
 from spectra_kit.datasets import Plan, SpectrumStore, complete
 from spectra_kit.datasets import files as store_files
-from spectra_kit.datasets.plan import NAMES
 from spectra_kit.errors import (
     DamagedEntryWarning,
     InvalidFileError,
@@ -161,10 +159,10 @@ def test_float32_keeps_eigenvalues_and_masses_whole(store):
         assert file["eigenvectors"].dtype == np.float32
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_descriptors_are_those_of_the_catalogue(store, name):
+@pytest.mark.parametrize("name", sk.features.DESCRIPTORS)
+def test_descriptors_are_those_of_the_features(store, name):
     mesh = bumpy()
-    expected = np.asarray(DESCRIPTORS[NAMES[name]](store.spectrum(mesh, PLAN)))
+    expected = sk.features.DESCRIPTORS[name](store.spectrum(mesh, PLAN))
     for _ in range(2):
         np.testing.assert_array_equal(store.descriptor(mesh, PLAN, name), expected)
 

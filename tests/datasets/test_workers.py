@@ -204,8 +204,7 @@ def test_workers_find_the_maps_of_one_process(workers, tmp_path, monkeypatch):
     shutil.copytree("one", "other")
     other = SpectrumStore("other")
     pairs = [*find_pairs("all", one), Pair(source="0.off", target="nobody")]
-    options = {"growing": 16, "kept": ((8, 8),), "finalists": 3, "rounds": 1, "bends": 1}
-    quick = Matching(options=sk.maps.MatchOptions(**options))
+    quick = Matching(options=sk.maps.MatchOptions(growing=16, finalists=3, rounds=1))
     alone = match_all(pairs, one, matching=quick)
     report = match_all(pairs, other, matching=quick, engine=engine)
     assert entries(one) == entries(other)

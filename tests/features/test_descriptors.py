@@ -1,5 +1,8 @@
 """Descriptors of points and surfaces: closed forms, brute force, and what must not matter."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from conftest import bumpy, refused, two_parts
@@ -19,24 +22,21 @@ from spectra_kit.features import (
     heat_kernel,
     heat_kernel_signature,
     heat_times,
-    landmark_heat_kernel_signature,
-    landmark_wave_kernel_signature,
     normalize_descriptors,
     shape_dna,
-    shape_dna_distance,
     shape_dna_distances,
     wave_energies,
     wave_kernel_signature,
 )
-from spectra_kit.geometry import sphere
+from spectra_kit.geometry import sphere, write
 
 LANDMARKS = [3, 17]
 SIGNATURES = {
     "hks": heat_kernel_signature,
     "hks-scaled": lambda s: heat_kernel_signature(s, scaled=True),
     "wks": wave_kernel_signature,
-    "landmark-hks": lambda s: landmark_heat_kernel_signature(s, LANDMARKS),
-    "landmark-wks": lambda s: landmark_wave_kernel_signature(s, LANDMARKS),
+    "landmark-hks": lambda s: heat_kernel_signature(s, landmarks=LANDMARKS),
+    "landmark-wks": lambda s: wave_kernel_signature(s, landmarks=LANDMARKS),
 }
 
 
@@ -78,7 +78,7 @@ def test_heat_kernel_is_the_exponential_of_the_operator(complete):
     np.testing.assert_allclose(
         heat_kernel_signature(spectrum, times), np.einsum("iit->it", expected), atol=1e-9
     )
-    columns = landmark_heat_kernel_signature(spectrum, LANDMARKS, times)
+    columns = heat_kernel_signature(spectrum, times, landmarks=LANDMARKS)
     np.testing.assert_allclose(
         columns, np.hstack([expected[:, i] for i in LANDMARKS]), atol=1e-9
     )  # fmt: skip
@@ -103,12 +103,29 @@ def test_wks_is_a_loop_over_its_formula(bumps):
 
 def test_the_diagonal_of_landmarks_is_the_signature(bumps):
     everyone = range(bumps.n)
-    for all_pairs, alone in (
-        (landmark_heat_kernel_signature, heat_kernel_signature),
-        (landmark_wave_kernel_signature, wave_kernel_signature),
-    ):
-        columns = all_pairs(bumps, everyone, count=3).reshape(bumps.n, bumps.n, 3)
-        np.testing.assert_allclose(np.einsum("iit->it", columns), alone(bumps, count=3))
+    for signature in (heat_kernel_signature, wave_kernel_signature):
+        columns = signature(bumps, landmarks=everyone, count=3).reshape(bumps.n, bumps.n, 3)
+        np.testing.assert_allclose(np.einsum("iit->it", columns), signature(bumps, count=3))
+
+
+def test_logarithms_are_of_units_of_the_mean(bumps):
+    in_mm = bumps.rescale(1000.0)
+    for signature, rest in ((heat_kernel_signature, 0.0), (wave_kernel_signature, 1e-3)):
+        found = signature(bumps, logarithm=True)
+        np.testing.assert_allclose(np.exp(found), signature(bumps) * bumps.area + rest)
+        np.testing.assert_allclose(signature(in_mm, logarithm=True), found, atol=1e-9)
+        refused("logarithm", "be False", signature, bumps, landmarks=[0], logarithm=True)
+
+
+def test_what_has_no_spectrum_yet_gets_the_default_one(tmp_path):
+    mesh = bumpy()
+    spectrum = eigensolve(robust_laplacian(mesh), 96)
+    write(mesh, tmp_path / "mesh.npz")
+    for given in (mesh, robust_laplacian(mesh), tmp_path / "mesh.npz"):
+        for name, descriptor in features.DESCRIPTORS.items():
+            np.testing.assert_array_equal(descriptor(given), descriptor(spectrum), err_msg=name)
+    few = sphere(subdivisions=1).geometry
+    assert global_point_signature(few).shape == (few.n, few.n - 1)
 
 
 def test_scaled_columns_have_integral_one(bumps):
@@ -220,9 +237,6 @@ def test_distances_of_dna_by_their_formulas():
     ):
         expected = np.linalg.norm(gaps / scale, axis=2)
         np.testing.assert_allclose(shape_dna_distances(rows, weight=weight), expected)
-        one = shape_dna_distance(rows[1], rows[3], weight=weight)
-        assert one == pytest.approx(expected[1, 3])
-    assert shape_dna_distance(*rows[:2]) == shape_dna_distances(rows)[0, 1]
 
 
 # --- what is refused ---
@@ -235,7 +249,7 @@ def test_bad_input_is_refused(bumps):
     s, unlike = bumps, np.eye(bumps.n)[:, :2] * [1, 0]
     for argument, expected, call, *given in (
         *(
-            ("spectrum", "have modes outside its kernel, got 2 zero modes alone", call, TWO, *more)
+            ("surface", "have modes outside its kernel, got 2 zero modes alone", call, TWO, *more)
             for call, *more in (
                 (heat_times,),
                 (global_point_signature,),
@@ -245,7 +259,7 @@ def test_bad_input_is_refused(bumps):
                 (features.farthest_points, 1),
             )
         ),
-        ("spectrum", "have two different eigenvalues outside its", wave_energies, ONE_VALUE),
+        ("surface", "have two different eigenvalues outside its", wave_energies, ONE_VALUE),
         ("count", "be at least 2, got 1", heat_times, s, 1),
         ("count", "be at least 2, got 1", wave_energies, s, 1),
         ("count", "be in [1, 39], got 40", global_point_signature, s, s.k),
@@ -265,9 +279,6 @@ def test_bad_input_is_refused(bumps):
         ("sources", "be in [0, 642), got 642", heat_kernel, s, [s.n], [1.0]),
         ("sources", "name at least one point", features.biharmonic_distances, s, []),
         ("sources", "be in [0, 642), got 642", features.commute_time_distances, s, [642]),
-        ("landmarks", "name at least one point", landmark_heat_kernel_signature, s, []),
-        ("landmarks", "name at least one point", landmark_wave_kernel_signature, s, []),
-        ("landmarks", "be in [0, 642)", landmark_wave_kernel_signature, s, [-1]),
         ("descriptors", "have shape (642, d)", normalize_descriptors, s, np.ones(3)),
         ("descriptors", "have no zero column, got one in column 1", normalize_descriptors, s,
          unlike),
@@ -276,11 +287,11 @@ def test_bad_input_is_refused(bumps):
         ("dnas", "have rows of one length", shape_dna_distances, [[1.0, 2.0], [1.0]]),
         ("dnas", "be positive, got 1 entry <= 0", shape_dna_distances, [[0.0, 2.0]]),
         ("dnas", "be finite", shape_dna_distances, [[np.nan, 2.0]]),
-        ("a` and `b", "have the same shape", shape_dna_distance, [1.0], [1.0, 2.0]),
-        ("a", "hold real numbers", shape_dna_distance, ["x"], [1.0]),
     ):  # fmt: skip
         refused(argument, expected, call, *given)
     for argument, expected, call, given, option in (
+        ("landmarks", "name at least one point", heat_kernel_signature, (s,), []),
+        ("landmarks", "be in [0, 642)", wave_kernel_signature, (s,), [-1]),
         ("width", "be below a quarter of the range", wave_energies, (s,), 9.0),
         ("width", "be positive and finite, got 0", wave_energies, (s,), 0.0),
         ("width", "be positive", wave_kernel_signature, (s, [1.0]), -1.0),
@@ -294,3 +305,14 @@ def test_bad_input_is_refused(bumps):
     ):  # fmt: skip
         name = {"sources": "time", "descriptors": "center"}.get(argument, argument)
         refused(argument, expected, call, *given, **{name: option})
+
+
+def test_torch_is_not_imported_for_them():
+    code = (
+        "import sys; from spectra_kit import features, geometry;"
+        " ball = geometry.sphere(subdivisions=1).geometry;"
+        " features.embed(ball, features.HeatKernelSignature(), k=20);"
+        " [descriptor(ball) for descriptor in features.DESCRIPTORS.values()];"
+        " sys.exit('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,47 +1,50 @@
 """Embeddings: analytic values, what they do not change with, batches, and what is refused."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pytest
 import torch
+from conftest import creature
 from scipy.spatial.transform import Rotation
 
 import spectra_kit as sk
 from spectra_kit import Arpack, PointCloud, TriangleMesh, eigensolve
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.features import (
+    BasisFunctions,
     Coordinates,
     Embedding,
-    GlobalPoints,
-    HeatSignature,
-    NeoFunctions,
-    PlaneWaves,
+    GlobalPointSignature,
+    HeatKernelSignature,
     PositionalEncoding,
     ShapeDNA,
-    WaveSignature,
+    Surface,
+    WaveKernelSignature,
     embed,
     embed_batch,
     embed_shape,
 )
-from spectra_kit.geometry import creature, sphere
-from spectra_kit.neo.model import NeoConfig, NeoNetwork
+from spectra_kit.geometry import sphere
+from spectra_kit.neo import NeoConfig, NeoNetwork, NeoSubspace
 from spectra_kit.operators import delaunay_laplacian
 
 torch.manual_seed(0)
 TINY = NeoNetwork(
     NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8, waves=4)
 ).eval()
-SPECTRAL = [HeatSignature(), WaveSignature(), GlobalPoints(count=12)]
+SPECTRAL = [HeatKernelSignature(), WaveKernelSignature(), GlobalPointSignature(count=12)]
 OF_SPACE = [
     Coordinates(),
     Coordinates(frame="principal"),
     PositionalEncoding(levels=3),
-    PlaneWaves(count=6, bandwidth=2.0),
-    NeoFunctions(network=TINY),
-    NeoFunctions(network=TINY, poses=1, masses=False),
+    BasisFunctions(subspace=sk.AmbientFourier(m=16, bandwidth=2.0)),
+    BasisFunctions(subspace=NeoSubspace(TINY, poses=4)),
+    BasisFunctions(subspace=NeoSubspace(TINY), masses=False),
 ]
 K = 36  # of the sphere: whole eigenspaces
+ORDER = np.random.default_rng(0).permutation(900)
 
 
 def grid(n=40, width=2.0, height=1.0):
@@ -64,44 +67,61 @@ def test_signatures_of_the_sphere_are_those_of_its_eigenvalues():
     values, counts = 4 * np.pi * levels * (levels + 1), 2 * levels + 1
     times = np.geomspace(4 * np.log(10) / (4 * np.pi * K), 1.0, 16)
     heat = np.log(np.exp(-np.outer(values, times)).T @ counts)
-    found = embed(ball, HeatSignature(), k=K, solver=Arpack())
+    found = embed(ball, HeatKernelSignature(), k=K, solver=Arpack())
     np.testing.assert_allclose(found, np.broadcast_to(heat, found.shape), atol=0.03)
-    waves = embed(ball, WaveSignature(), k=K, solver=Arpack())
+    waves = embed(ball, WaveKernelSignature(), k=K, solver=Arpack())
     np.testing.assert_allclose(waves, 0.0, atol=0.06)  # no place is another
     dna = embed_shape(ball, ShapeDNA(count=35), k=K, solver=Arpack())
     expected = np.repeat(levels * (levels + 1), counts)[1:] / np.arange(1, 36)
     np.testing.assert_allclose(dna, np.log(expected), atol=0.03)
 
 
+@cache
+def surfaces():
+    """What embeddings are held against, each solved once for all of them."""
+    cloud = creature(900, pose=2).points
+    turn = Rotation.from_euler("xyz", [0.3, -1.1, 2.0]).as_matrix()
+    flat, rolled = grid(n=30)
+    animal = creature(6000)
+    shapes = {
+        "cloud": PointCloud(cloud),
+        "scale": PointCloud(3.0 * cloud + [5.0, 0.0, 1.0]),
+        "rotation": PointCloud(cloud @ turn.T),
+        "shuffled": PointCloud(cloud[ORDER]),
+        "flat": flat,
+        "rolled": rolled,
+        "sampled": sk.geometry.sample(animal, 1500, seed=0),
+        "sampled again": sk.geometry.sample(animal, 1500, seed=1),
+        "ball": sphere(subdivisions=4).geometry,
+    }
+    return {
+        name: Surface(shape, 24 if shape in (flat, rolled) else 32, Arpack())
+        for name, shape in shapes.items()
+    }
+
+
 @pytest.mark.parametrize("embedding", [*SPECTRAL, ShapeDNA(), *OF_SPACE], ids=str)
 def test_an_embedding_changes_with_nothing_that_it_is_invariant_to(embedding):
-    mesh = PointCloud(creature(900, pose=2).points)
-    turn = Rotation.from_euler("xyz", [0.3, -1.1, 2.0]).as_matrix()
-    order = np.random.default_rng(0).permutation(mesh.n)
-
-    def of(shape):
-        found = embed_shape(shape, embedding, k=32, solver=Arpack())
+    def of(name):
+        found = embedding.of_all(surfaces()[name])
         if isinstance(embedding, ShapeDNA):
-            return found, np.tile(found, (mesh.n, 1))
-        return found, embed(shape, embedding, k=32, solver=Arpack())
+            return found, np.tile(found, (len(ORDER), 1))
+        return found, embedding.of_points(surfaces()[name])
 
-    whole, points = of(mesh)
-    for name, moved in (
-        ("scale", PointCloud(3.0 * mesh.points + [5.0, 0.0, 1.0])),
-        ("rotation", PointCloud(mesh.points @ turn.T)),
-    ):
-        again, there = of(moved)
+    whole, points = of("cloud")
+    for name in ("scale", "rotation"):
+        again, there = of(name)
         same = np.allclose(there, points, atol=2e-3 * np.abs(points).max())
         assert same == (name in embedding.invariant_to)
         assert np.allclose(again, whole, atol=2e-3 * np.abs(whole).max()) or not same
-    shuffled, there = of(PointCloud(mesh.points[order]))
-    np.testing.assert_allclose(there, points[order], atol=2e-3 * np.abs(points).max())
+    shuffled, there = of("shuffled")
+    np.testing.assert_allclose(there, points[ORDER], atol=2e-3 * np.abs(points).max())
     np.testing.assert_allclose(shuffled, whole, atol=2e-3 * np.abs(whole).max())
 
 
 @pytest.mark.parametrize("embedding", [*SPECTRAL, *OF_SPACE], ids=str)
 def test_spectral_ones_do_not_see_a_sheet_that_is_rolled(embedding):
-    flat, rolled = (embed(mesh, embedding, k=24, solver=Arpack()) for mesh in grid())
+    flat, rolled = (embedding.of_points(surfaces()[name]) for name in ("flat", "rolled"))
     apart = np.linalg.norm(flat - rolled) / np.linalg.norm(flat - flat.mean(axis=0))
     assert (apart < 0.05) == ("isometry" in embedding.invariant_to)
 
@@ -109,10 +129,8 @@ def test_spectral_ones_do_not_see_a_sheet_that_is_rolled(embedding):
 @pytest.mark.parametrize("embedding", [*SPECTRAL, ShapeDNA(), *OF_SPACE], ids=str)
 def test_of_a_whole_surface_the_sampling_matters_less_than_the_surface(embedding):
     assert "sampling" in embedding.invariant_to
-    animal, other = creature(6000), sphere(subdivisions=5).geometry
-    sets = [sk.geometry.sample(animal, 1500, seed=seed) for seed in (0, 1)]
     one, again, far = (
-        embed_shape(shape, embedding, k=32, solver=Arpack()) for shape in (*sets, other)
+        embedding.of_all(surfaces()[name]) for name in ("sampled", "sampled again", "ball")
     )
     assert np.linalg.norm(one - again) < 0.2 * np.linalg.norm(one - far)
 
@@ -124,10 +142,10 @@ def test_a_spectrum_is_enough_for_those_that_need_no_points():
         truth = embed(laplacian, embedding, k=32, solver=Arpack())
         np.testing.assert_allclose(embed(spectrum, embedding, k=32), truth, atol=1e-6)
     for embedding in OF_SPACE:
-        with pytest.raises(InvalidInputError, match="`shape` must have points"):
+        with pytest.raises(InvalidInputError, match="`surface` must have points"):
             embed(spectrum, embedding)
-    with pytest.raises(InvalidInputError, match="`shape` must have k = 41 modes or more, got 40"):
-        embed(spectrum, WaveSignature(), k=41)
+    with pytest.raises(InvalidInputError, match="`surface` must have k = 41 modes or more, got 40"):
+        embed(spectrum, WaveKernelSignature(), k=41)
     with pytest.raises(InvalidInputError, match="call `embed_shape`"):
         embed(spectrum, ShapeDNA(), k=32)
 
@@ -176,14 +194,14 @@ def test_padding_changes_nothing_and_gradients_reach_the_points(embedding):
 
 
 def _held(points, mass, embedding):
-    from spectra_kit.features.functions import _frame
+    from spectra_kit.features.space import _frame
 
-    return tuple(torch.as_tensor(part) for part in _frame(points, mass, embedding.frame))
+    return tuple(torch.as_tensor(part) for part in _frame(points, mass, embedding.pose))
 
 
 def test_functions_of_the_network_do_not_depend_on_which_flip_is_the_principal_one():
     points, mass, _ = clouds()
-    embedding = NeoFunctions(network=TINY)
+    embedding = BasisFunctions(subspace=NeoSubspace(TINY, poses=4))
     flip = torch.tensor([-1.0, 1.0, -1.0])
     posed = (points / points.abs().max()).float()
     share = (mass / mass.sum(1, keepdim=True)).float()
@@ -191,9 +209,9 @@ def test_functions_of_the_network_do_not_depend_on_which_flip_is_the_principal_o
         torch.testing.assert_close(
             embedding.values(posed, share), embedding.values(posed * flip, share)
         )
-        alone = NeoFunctions(network=TINY, poses=1)
+        alone = BasisFunctions(subspace=NeoSubspace(TINY))
         assert not torch.allclose(alone.values(posed, share), alone.values(posed * flip, share))
-        blind = NeoFunctions(network=TINY, masses=False)
+        blind = BasisFunctions(subspace=NeoSubspace(TINY, poses=4), masses=False)
         even = (mass > 0) / (mass > 0).sum(1, keepdim=True)
         torch.testing.assert_close(blind.values(posed, share), blind.values(posed, even))
         assert not torch.allclose(blind.values(posed, share), embedding.values(posed, share))
@@ -207,39 +225,39 @@ def test_positional_encoding_and_plane_waves_are_what_they_say():
     cosines = [np.cos(np.pi * 2**e * c) for e in (0, 1) for c in (0.25, -0.5, 1.0)]
     np.testing.assert_allclose(found, [0.25, -0.5, 1.0, *sines, *cosines], atol=1e-6)
     cloud = creature(500).points
-    theirs = sk.AmbientFourier(m=44, bandwidth=3.0)(cloud, np.ones(500))[:, 4:]
-    ours = embed_batch(
-        torch.tensor(cloud)[None], torch.ones(1, 500), PlaneWaves(count=20, bandwidth=3.0)
-    )
-    np.testing.assert_allclose(ours[0], theirs, atol=1e-4)
+    for m in (44, 45):
+        waves = sk.AmbientFourier(m=m, bandwidth=3.0)
+        theirs = waves(cloud, np.ones(500))[:, 4:]
+        told = BasisFunctions(subspace=waves)
+        ours = embed_batch(torch.tensor(cloud)[None], torch.ones(1, 500), told)
+        np.testing.assert_allclose(ours[0], theirs, atol=1e-4)
 
 
 def test_what_is_no_batch_and_no_option_is_refused():
     points, mass, _ = clouds()
-    waves = PlaneWaves()
+    waves = BasisFunctions(subspace=sk.AmbientFourier(m=64))
     for wrong, told in (
         ((points[0], mass, waves), r"`points` must have shape \(b, n, 3\), and `mass` \(b, n\)"),
         ((points, mass[:, :5], waves), r"`points` must have shape \(b, n, 3\), and `mass`"),
         ((points, -mass, waves), "`mass` must be positive at the points, zero at padding"),
         ((points, 0 * mass, waves), "`mass` must be positive at the points, zero at padding"),
         ((0 * points, mass, Coordinates()), "`points` must lie in more than one place"),
-        ((points, mass, WaveSignature()), "`embedding` must be a function of points"),
+        ((points, mass, WaveKernelSignature()), "`embedding` must be a function of points"),
     ):
         with pytest.raises(InvalidInputError, match=told):
             embed_batch(*wrong)
     for make, told in (
-        (lambda: HeatSignature(count=1), "`count` must be at least 2"),
-        (lambda: WaveSignature(width=0.0), "`width` must be positive"),
-        (lambda: GlobalPoints(count=0), "`count` must be at least 1"),
+        (lambda: HeatKernelSignature(count=1), "`count` must be at least 2"),
+        (lambda: WaveKernelSignature(width=0.0), "`width` must be positive"),
+        (lambda: GlobalPointSignature(count=0), "`count` must be at least 1"),
         (lambda: PositionalEncoding(levels=0), "`levels` must be at least 1"),
         (lambda: Coordinates(frame="other"), "`frame` must be 'principal' or 'given'"),
-        (lambda: NeoFunctions(poses=3), "`poses` must be 1 or 4"),
-        (lambda: NeoFunctions(network="nowhere"), "nowhere"),
+        (lambda: BasisFunctions(subspace=sk.RandomBasis()), "`subspace` must be of functions"),
     ):
         with pytest.raises(sk.SpectraKitError, match=told):
             make()
     with pytest.raises(InvalidInputError, match="`k` must be at least 1"):
-        embed(creature(500), WaveSignature(), k=0)
+        embed(creature(500), WaveKernelSignature(), k=0)
 
 
 def test_an_embedding_of_ones_own_is_one_and_must_be_finite():
@@ -299,7 +317,10 @@ def test_a_wave_signature_without_its_lowest_bands_minds_a_bridge_less():
         TriangleMesh(points.reshape(-1, 3), f) for f in (faces, np.concatenate([faces, bridge]))
     )
     apart = []
-    for waves in (WaveSignature(count=12, width=1.5), WaveSignature(count=12, width=1.5, first=8)):
+    for waves in (
+        WaveKernelSignature(count=12, width=1.5),
+        WaveKernelSignature(count=12, width=1.5, first=8),
+    ):
         one, two = (embed_shape(mesh, waves, k=64) for mesh in (open_, joined))
         apart.append(np.abs(one - two).mean() / one.std())
     assert apart[1] < 0.5 * apart[0], apart
@@ -307,4 +328,4 @@ def test_a_wave_signature_without_its_lowest_bands_minds_a_bridge_less():
 
 def test_more_modes_than_the_first_are_needed():
     with pytest.raises(InvalidInputError, match="`k` must be more than first = 40, got 36"):
-        embed(creature(600), WaveSignature(first=40), k=36, solver=Arpack())
+        embed(creature(600), WaveKernelSignature(first=40), k=36, solver=Arpack())

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from conftest import refused
+from conftest import creature, refused
 from torch.utils.data import DataLoader
 
 import spectra_kit as sk
 from spectra_kit.datasets import Plan, SpectrumStore, complete
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidFileError, InvalidInputError
-from spectra_kit.geometry import TriangleMesh, creature, rectangle, torus, write
+from spectra_kit.geometry import TriangleMesh, rectangle, torus, write
 from spectra_kit.learn import (
     Batch,
     DiffusionNet,

@@ -1,27 +1,42 @@
 """An index over a folder: what is found, what is taken over, what is left out."""
 
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
+from conftest import creature
 
 from spectra_kit.eigen import Neo
 from spectra_kit.errors import InvalidFileError, InvalidInputError
-from spectra_kit.features import ShapeDNA, WaveSignature
-from spectra_kit.geometry import PointCloud, TriangleMesh, creature, read, sphere, torus, write
+from spectra_kit.features import ShapeDNA, WaveKernelSignature
+from spectra_kit.geometry import PointCloud, TriangleMesh, read, sphere, torus, write
 from spectra_kit.learn import Recipe, ShapeIndex, index_folder
 from spectra_kit.neo import NeoConfig, NeoNetwork, save_weights
 
-RECIPE = Recipe(embeddings=(ShapeDNA(count=12), WaveSignature(count=5)), k=24)
+RECIPE = Recipe(embeddings=(ShapeDNA(count=12), WaveKernelSignature(count=5)), k=24)
+
+
+@pytest.fixture(scope="module")
+def shapes(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("shapes")
+    for pose in range(3):
+        write(creature(700, pose=pose), folder / f"animal{pose}.off")
+    for i, minor in enumerate((0.3, 0.35)):
+        write(torus(n=600, minor=minor).geometry, folder / f"ring{i}.ply")
+    (folder / "notes.txt").write_text("not a shape")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def index(shapes):
+    return index_folder(shapes, RECIPE)
 
 
 @pytest.fixture
-def folder(tmp_path):
-    for pose in range(3):
-        write(creature(700, pose=pose), tmp_path / f"animal{pose}.off")
-    for i, minor in enumerate((0.3, 0.35)):
-        write(torus(n=600, minor=minor).geometry, tmp_path / f"ring{i}.ply")
-    (tmp_path / "notes.txt").write_text("not a shape")
-    return tmp_path
+def folder(shapes, tmp_path):
+    return Path(shutil.copytree(shapes, tmp_path / "shapes"))
 
 
 @pytest.fixture
@@ -34,8 +49,7 @@ def embedded(monkeypatch):
     return seen
 
 
-def test_the_nearest_are_those_of_its_kind_in_any_unit(folder):
-    index = index_folder(folder, RECIPE)
+def test_the_nearest_are_those_of_its_kind_in_any_unit(index):
     assert index.names == ("animal0.off", "animal1.off", "animal2.off", "ring0.ply", "ring1.ply")
     asked = creature(1100, pose=1)
     found = index.nearest(TriangleMesh(40 * asked.points + 3, asked.faces), count=4)
@@ -50,20 +64,16 @@ def test_the_nearest_are_those_of_its_kind_in_any_unit(folder):
     assert dict(nearest)["ring0.ply"] == pytest.approx(gaps.mean())
 
 
-def test_itself_is_at_no_distance(folder):
-    index = index_folder(folder, RECIPE)
+def test_itself_is_at_no_distance(folder, index):
     first = index.nearest(read(folder / "ring1.ply"), count=1)[0]
     assert first.name == "ring1.ply"
     assert first.distance == pytest.approx(0, abs=1e-9)
 
 
-def test_only_what_is_new_is_embedded_again(folder, embedded):
-    index = index_folder(folder, RECIPE)
-    assert len(embedded) == 5
+def test_only_what_is_new_is_embedded_again(folder, index, embedded):
     write(torus(n=800, minor=0.2).geometry, folder / "ring0.ply")
     write(creature(900, seed=3), folder / "other.off")
     (folder / "animal0.off").rename(folder / "renamed.off")
-    embedded.clear()
     known = index_folder(folder, RECIPE, known=index)
     assert len(embedded) == 2
     assert min(embedded) > 700
@@ -72,9 +82,7 @@ def test_only_what_is_new_is_embedded_again(folder, embedded):
     np.testing.assert_array_equal(known.vectors, fresh.vectors)
 
 
-def test_what_was_made_otherwise_is_not_taken_over(folder, embedded):
-    index = index_folder(folder, RECIPE)
-    embedded.clear()
+def test_what_was_made_otherwise_is_not_taken_over(folder, index, embedded):
     index_folder(folder, Recipe(embeddings=RECIPE.embeddings, k=25), known=index)
     assert len(embedded) == 5
     embedded.clear()
@@ -123,8 +131,7 @@ def test_what_cannot_be_embedded_is_named_and_the_rest_goes_on(folder):
     assert told == [(i + 1, 8) for i in range(8)]
 
 
-def test_a_saved_index_finds_the_same(folder, tmp_path):
-    index = index_folder(folder, RECIPE)
+def test_a_saved_index_finds_the_same(index, tmp_path):
     index.save(tmp_path / "index.safetensors")
     again = ShapeIndex.load(tmp_path / "index.safetensors")
     assert (again.names, again.digests, again.recipe) == (index.names, index.digests, RECIPE)

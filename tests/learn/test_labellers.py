@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from conftest import refused
+from conftest import creature, refused
 from safetensors import safe_open
 from safetensors.torch import save
 
@@ -17,13 +17,13 @@ from spectra_kit._core.fingerprint import sealed
 from spectra_kit.eigen import Neo
 from spectra_kit.errors import InvalidFileError, InvalidInputError, MissingDependencyError
 from spectra_kit.features import (
+    BasisFunctions,
     Coordinates,
-    HeatSignature,
-    NeoFunctions,
+    HeatKernelSignature,
     ShapeDNA,
-    WaveSignature,
+    WaveKernelSignature,
 )
-from spectra_kit.geometry import PointCloud, TriangleMesh, creature, sample, sphere, torus
+from spectra_kit.geometry import PointCloud, TriangleMesh, sample, sphere, torus
 from spectra_kit.learn import (
     DiffusionNet,
     Hierarchical,
@@ -42,9 +42,10 @@ from spectra_kit.learn import (
 )
 from spectra_kit.learn.examples import prepared
 from spectra_kit.learn.fitting import _loss, fit, predicted
+from spectra_kit.neo import NeoSubspace, load_pretrained
 
-DNA = Recipe(embeddings=(ShapeDNA(count=10), WaveSignature(count=6)), k=20)
-POINTS = Recipe(embeddings=(HeatSignature(count=6),), k=20)
+DNA = Recipe(embeddings=(ShapeDNA(count=10), WaveKernelSignature(count=6)), k=20)
+POINTS = Recipe(embeddings=(HeatKernelSignature(count=6),), k=20)
 HEADS = [NearestNeighbour(), LinearDiscriminant(), SupportVectors()]
 
 
@@ -87,8 +88,10 @@ def test_what_was_not_seen_is_told_right_in_any_unit_and_place(shapes, method):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("backbone", ["pointnet++", "point-transformer"])
-def test_hierarchical_networks_learn_from_turned_eggs_and_a_ring(backbone):
+@pytest.mark.parametrize(
+    ("backbone", "epochs", "points"), [("pointnet++", 12, 64), ("point-transformer", 24, 100)]
+)
+def test_hierarchical_networks_learn_from_turned_eggs_and_a_ring(backbone, epochs, points):
     ball = sphere(subdivisions=3).geometry.points[::2]
     shapes = [PointCloud(ball * axes) for axes in ([1, 1, 1], [1, 1, 2.5], [1, 2.5, 2.5])]
     shapes += [torus(n=300, minor=0.3).geometry]
@@ -99,10 +102,10 @@ def test_hierarchical_networks_learn_from_turned_eggs_and_a_ring(backbone):
         [prepared(recipe, shape)[0] for shape in shapes] * 4,
         [torch.tensor(i) for i in range(4)] * 4,
         classes=4,
-        training=Training(epochs=24, points=100, smoothing=0.0),
+        training=Training(epochs=epochs, points=points, smoothing=0.0),
     )
     # Who knows nothing has log 4, and stays there.
-    assert np.mean([seen["loss"] for seen in curve[-6:]]) < 0.9 * np.log(4)
+    assert np.mean([seen["loss"] for seen in curve[-epochs // 4 :]]) < 0.9 * np.log(4)
 
 
 def test_one_example_a_class_is_enough_for_each_head(shapes):
@@ -144,7 +147,11 @@ def test_discriminants_find_the_direction_that_tells():
         (DiffusionNet(width=16, depth=2, dropout=0.0), POINTS),
         (
             PointNet(width=8),
-            Recipe(embeddings=(NeoFunctions(poses=1, masses=False),), k=20, solver=Neo()),
+            Recipe(
+                embeddings=(BasisFunctions(subspace=NeoSubspace(), masses=False),),
+                k=20,
+                solver=Neo(),
+            ),
         ),
     ],
     ids=str,
@@ -258,7 +265,7 @@ def test_where_shapes_stand_upright_up_counts():
 
 def test_same_seed_same_network_another_another():
     mesh = creature(600)
-    recipe = Recipe(embeddings=(HeatSignature(count=4), Coordinates()), k=20)
+    recipe = Recipe(embeddings=(HeatKernelSignature(count=4), Coordinates()), k=20)
     network = DiffusionNet(width=8, depth=1)  # with dropout
     scores = [
         train_segmenter(
@@ -277,7 +284,7 @@ class StoppedError(Exception):
 
 def test_an_interrupted_run_goes_on_to_the_same_end(tmp_path):
     mesh = creature(600)
-    recipe = Recipe(embeddings=(HeatSignature(count=4), Coordinates()), k=20)
+    recipe = Recipe(embeddings=(HeatKernelSignature(count=4), Coordinates()), k=20)
     network, training = DiffusionNet(width=8, depth=1), Training(epochs=5, points=None)
     example, _ = prepared(recipe, mesh, network.sees)
     labels = torch.from_numpy(north(mesh))
@@ -328,7 +335,9 @@ def test_a_saved_classifier_tells_the_same(shapes, method, tmp_path):
 
 def test_a_saved_segmenter_tells_the_same(tmp_path):
     mesh = creature(600)
-    recipe = Recipe(embeddings=(HeatSignature(count=4), Coordinates()), k=20, solver=Neo(poses=1))
+    recipe = Recipe(
+        embeddings=(HeatKernelSignature(count=4), Coordinates()), k=20, solver=Neo(poses=1)
+    )
     found = train_segmenter(
         [mesh], [north(mesh)], recipe=recipe, method=DiffusionNet(width=8, depth=2),
         training=Training(epochs=2), names=["south", "north"],
@@ -340,8 +349,8 @@ def test_a_saved_segmenter_tells_the_same(tmp_path):
 
 
 def test_a_network_of_ones_own_is_not_saved(tmp_path):
-    network = NeoFunctions().of_points and NeoFunctions()._model
-    recipe = Recipe(embeddings=(NeoFunctions(network=network, poses=1),), k=20)
+    network = load_pretrained("small").network
+    recipe = Recipe(embeddings=(BasisFunctions(subspace=NeoSubspace(network)),), k=20)
     mesh = creature(600)
     found = train_segmenter(
         [mesh], [north(mesh)], recipe=recipe, method=PointMLP(width=4),
@@ -560,7 +569,7 @@ def test_another_length_than_the_heads_is_refused():
     known = train_classifier(
         [BALL, torus(n=400).geometry], [0, 1], recipe=DNA, method=NearestNeighbour()
     )
-    longer = Recipe(embeddings=(ShapeDNA(count=12), WaveSignature(count=6)), k=20)
+    longer = Recipe(embeddings=(ShapeDNA(count=12), WaveKernelSignature(count=6)), k=20)
     other = type(known)(known.names, longer, known.method, known.learned, known.examples)
     with pytest.raises(InvalidInputError, match="as the head was fitted to, 70, got 72"):
         other.classify(BALL)

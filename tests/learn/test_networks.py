@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 import torch
+from conftest import creature
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 import spectra_kit as sk
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.features import Coordinates, HeatSignature
-from spectra_kit.geometry import TriangleMesh, creature, torus
+from spectra_kit.features import Coordinates, HeatKernelSignature
+from spectra_kit.geometry import TriangleMesh, torus
 from spectra_kit.learn import DiffusionNet, Hierarchical, PointMLP, PointNet, Recipe
 from spectra_kit.learn.examples import batched, prepared, stretched
 from spectra_kit.learn.networks import _DiffusionBlock
@@ -21,7 +22,7 @@ NETWORKS = [
     Hierarchical(backbone="pointnet++", width=16),
     Hierarchical(backbone="point-transformer", width=16, features=False),
 ]
-RECIPE = Recipe(embeddings=(HeatSignature(count=5), Coordinates()), k=24)
+RECIPE = Recipe(embeddings=(HeatKernelSignature(count=5), Coordinates()), k=24)
 SEES = frozenset({"spectrum", "slopes"})
 
 
@@ -79,7 +80,7 @@ def test_features_spread_as_heat_does():
     mesh = torus(n=300).geometry
     laplacian = sk.delaunay_laplacian(mesh)
     area = laplacian.mass.sum()
-    recipe = Recipe(embeddings=(HeatSignature(count=4),), k=mesh.n - 1)
+    recipe = Recipe(embeddings=(HeatKernelSignature(count=4),), k=mesh.n - 1)
     batch = batched(recipe, [prepared(recipe, mesh, SEES)[0]])
     block = _DiffusionBlock(3, 0.0)
     root = torch.tensor([0.05, 0.1, 0.2])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import bumpy, creature, data_folder, refused
 from scipy.spatial import cKDTree
-from studies.matching.cuts import REFERENCE, cut_landmarks, left_of, overlap, part_of
+from studies.matching.parts import REFERENCE, cut_landmarks, left_of, overlap, part_of
 from studies.matching.subjects import subjects_in
 from test_match import moved, prepared
 

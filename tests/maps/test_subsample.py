@@ -245,7 +245,7 @@ def test_a_refined_body_matches_its_coarse_self(coarse, mesh, source, elastic) -
 
 @pytest.mark.parametrize("elastic", [True, False])
 def test_a_dense_pair_agrees_with_the_coarse_one(elastic) -> None:
-    one, other, _ = creature_pair(1000, 1100, seed=1)
+    one, other, _ = creature_pair(600, 650, seed=1)
     fine = refined(one), refined(other)
     found = match(*(thin(side) for side in fine), elastic=elastic, options=QUICK)
     usual = match(*(thin(side) for side in (one, other)), elastic=elastic, options=QUICK)

@@ -68,6 +68,12 @@ def whole(corpora):
     return train(*corpora, CONFIG)
 
 
+@pytest.fixture
+def made_here(monkeypatch):
+    """Make the samples of streams in this process, which starts nothing."""
+    monkeypatch.setattr(streaming, "produced", produced_here)
+
+
 def same(one, other):
     return all(torch.equal(tensor, other[name]) for name, tensor in one.items())
 
@@ -433,6 +439,7 @@ def test_a_run_is_not_overwritten(corpora, tmp_path):
     assert (tmp_path / "log.csv").read_bytes() == before
 
 
+@pytest.mark.usefixtures("made_here")
 def test_samples_on_which_functions_span_everything_are_refused(tmp_path):
     made_of = CorpusConfig(seed=1, n_points=128, k=4, shard_size=4, mesh_share=1.0)
     generate(tmp_path, 4, config=made_of)
@@ -455,6 +462,7 @@ def test_samples_on_which_functions_span_everything_are_refused(tmp_path):
                 train(stream, meshes, replace(wide, network=network))
 
 
+@pytest.mark.usefixtures("made_here")
 def test_a_stream_is_resumed_as_it_was_or_not_at_all(tmp_path):
     made_of = CorpusConfig(seed=1, n_points=100, k=4, shard_size=4)
     generate(tmp_path / "validation", 4, config=replace(made_of, seed=2))
@@ -598,8 +606,8 @@ def test_a_killed_run_on_a_stream_ends_as_one_in_a_single_go(tmp_path, monkeypat
     monkeypatch.setattr(NeoConfig, "named", lambda name: few)
 
     def arguments(name):
-        values = {"validation": tmp_path / "validation", "out": tmp_path / name, "steps": 24}
-        values |= {"stream": tmp_path / f"{name}_samples", "shown": 2, "capacity": 24, "batch": 6}
+        values = {"validation": tmp_path / "validation", "out": tmp_path / name, "steps": 16}
+        values |= {"stream": tmp_path / f"{name}_samples", "shown": 2, "capacity": 16, "batch": 4}
         values |= {"points": 100, "modes": 4, "shard-size": 4, "mesh-share": 0.5, "beta": 0.5}
         values |= {"every": 1000, "rows": 1, "save": 0.1}
         words = [str(word) for name, value in values.items() for word in (f"--{name}", value)]
@@ -613,7 +621,7 @@ def test_a_killed_run_on_a_stream_ends_as_one_in_a_single_go(tmp_path, monkeypat
     with subprocess.Popen(niced, env=environment, start_new_session=True) as process:
         while process.poll() is None:
             there = checkpoint.read(tmp_path / "killed")
-            if there is not None and there["state"]["step"] > 5:
+            if there is not None and there["state"]["step"] > 2:
                 break
             time.sleep(0.05)
         group = int((tmp_path / "killed" / "group").read_text())
@@ -625,7 +633,7 @@ def test_a_killed_run_on_a_stream_ends_as_one_in_a_single_go(tmp_path, monkeypat
             time.sleep(0.05)
         os.killpg(group, signal.SIGCONT)
         process.kill()
-    assert 5 < checkpoint.read(tmp_path / "killed")["state"]["step"] < 24
+    assert 2 < checkpoint.read(tmp_path / "killed")["state"]["step"] < 16
     for folder in ("killed", "killed_samples"):
         shutil.copytree(tmp_path / folder, tmp_path / folder.replace("killed", "less"))
     for lost in sorted((tmp_path / "less_samples").glob("shard_*"))[:1]:  # samples, too
@@ -636,12 +644,12 @@ def test_a_killed_run_on_a_stream_ends_as_one_in_a_single_go(tmp_path, monkeypat
     whole = checkpoint.read(tmp_path / "whole")
     for name in ("killed", "less"):
         found = checkpoint.read(tmp_path / name)
-        assert found["state"]["step"] == whole["state"]["step"] == 24
+        assert found["state"]["step"] == whole["state"]["step"] == 16
         assert same(found["network"], whole["network"])
         assert same(found["average"], whole["average"])
         assert curve(tmp_path / name) == curve(tmp_path / "whole")
     kept = sorted((tmp_path / "killed_samples").glob("shard_*"))
-    assert len(kept) < (24 + 4) / 4 + 6  # of 96 samples in all, the last ones
+    assert len(kept) < (16 + 4) / 4 + 6  # of 48 samples in all, the last ones
 
 
 @pytest.mark.slow
@@ -792,13 +800,12 @@ def test_command_line_end_to_end(tmp_path, capsys, monkeypatch):
 
 
 @pytest.fixture
-def streamed(tmp_path, monkeypatch):
+def streamed(tmp_path, monkeypatch, made_here):
     """Return a function that runs the app on a stream, of samples that are made in this process."""
     made_of = CorpusConfig(seed=7, n_points=128, k=4, shard_size=4)
     generate(tmp_path / "validation", 4, config=made_of)
     few = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=4)
     monkeypatch.setattr(NeoConfig, "named", {"small": few}.get)
-    monkeypatch.setattr(streaming, "produced", produced_here)
 
     def run(out, **options):
         values = {"stream": out / "samples", "validation": tmp_path / "validation", "shown": 0}

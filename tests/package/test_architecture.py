@@ -1,6 +1,7 @@
 """Imports point down, from room to room and from file to file, and say so where they stand."""
 
 import ast
+import re
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -91,3 +92,18 @@ def test_nothing_else_is_imported_by_a_string() -> None:
 def test_the_check_sees_an_upward_import() -> None:
     assert imports("from spectra_kit.show import plot_modes") == {"show"}
     assert imports("def f():\n    from spectra_kit.neo import train") == {"neo.train"}
+
+
+def test_arguments_are_checked_at_the_door_alone() -> None:
+    """On what the reference lists, and on what those leave their arguments to."""
+    pages = (ROOT.parent / "docs/api").glob("*.rst")
+    listed = {name for page in pages for name in re.findall(r"\w+", page.read_text())}
+    inside = [
+        f"{dotted(path)}.{node.name}"
+        for path in FILES
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.FunctionDef | ast.ClassDef)
+        if "checked" in map(ast.unparse, node.decorator_list)
+        if node.name not in listed and not node.name.startswith("_")
+    ]
+    assert set(inside) <= {"show.explorer.serve.serve"}  # which a command leaves its own to

@@ -17,7 +17,7 @@ from spectra_kit._core.files import atomic_path, temporary_folder
 from spectra_kit.datasets.table import write as write_rows
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere
-from spectra_kit.learn import _files as learning_files
+from spectra_kit.learn import files as learning_files
 
 posix = pytest.mark.skipif(os.name != "posix", reason="pipes and rights are those of POSIX")
 

@@ -11,7 +11,15 @@ from spectra_kit.cli.words import option_of
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 
 #: What no command can be told.
-OF_PYTHON_ALONE = {'kind="cloud"', "max_points", "max_restarts", "max_steps", "max_sweeps", "tol"}
+OF_PYTHON_ALONE = {
+    'kind="cloud"',
+    "max_points",
+    "max_restarts",
+    "max_shifts",
+    "max_steps",
+    "max_sweeps",
+    "tol",
+}
 
 
 def advised() -> Iterator[tuple[str, str, tuple[str, ...]]]:

@@ -51,7 +51,7 @@ PACKAGES = [name for _, name, _ in pkgutil.iter_modules(sk.__path__) if not INNE
 LEFT_TO_TORCH = {"NeoNetwork.forward", "NeoNetwork.features", "NeoNetwork.evaluate_chunked"}
 # Called by `eigensolve`, `embed` and `train_classifier` alone, which have checked what they pass.
 HOOKS = re.compile(
-    r"\.eigenpairs$|\.begin$|\.of_points$|\.of_all$|\.values$|\.fit$|\.build$"
+    r"\.eigenpairs$|\.begin$|\.of_points$|\.of_all$|\.values$|\.functions$|\.fit$|\.build$"
     r"|^(?!GivenBasis|Laplacian).*restricted$"
 )
 
@@ -151,7 +151,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     pair = show.MatchedPair(source=mesh, target=mesh, point_map=same)
     run = show.SolverRun(name="a", stages={"factor": 1.0}, times=[0.1], residuals=[1e-9])
     recipe = learn.Recipe(embeddings=(features.ShapeDNA(count=4),), k=8)
-    points = learn.Recipe(embeddings=(features.HeatSignature(count=3),), k=8)
+    points = learn.Recipe(embeddings=(features.HeatKernelSignature(count=3),), k=8)
     halves = (mesh.points[:, 2] > 0).astype(int)
     classifier = learn.train_classifier(
         [mesh, ball], [0, 1], recipe=recipe, method=learn.NearestNeighbour()
@@ -207,7 +207,8 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
             of_map,
         ),
         *(dataset, recipe, classifier, segmenter, index, thumbnail, learn.Training(epochs=1)),
-        *(show.View(), sk.RayleighRitz(), geodesics.WithinMemory(), given, map_errors),
+        *(show.View(), sk.RayleighRitz(), sk.Automatic(), given, map_errors),
+        geodesics.WithinMemory(),
         *(metrics.compare_spectra(spectrum, spectrum), geometry.repair(mesh)),
         *(sk.ModeCount(verified=3, radius=0.1, floor=2.0), maps.Truth(same, same)),
         *(geometry.sample_with_origin(mesh, 50, seed=0), geometry.Normalization.unit_box(mesh)),
@@ -222,7 +223,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("points queries source_points normals", ball.points),
         ("faces source_faces target_faces", mesh.faces),
         ("back point_map vertex_index face_index", same),
-        ("Cascade.coarsest", 200),
+        ("Cascade.coarsest Neo.coarsest", 200),
         ("Truth.source Truth.target Truth.symmetric", same),
         ("errors f g symmetric point_arrays values Samples.interpolate.values", np.ones(n)),
         ("mass target_mass", spectrum.mass),
@@ -247,10 +248,11 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("from_diffusion_net.operators", interop.to_diffusion_net(spectrum, laplacian, slopes)),
         ("score_map.source score_map.target match_part.part match_part.whole", prepared),
         ("Union.parts start subspace", given),
-        ("embedding", features.HeatSignature(count=4)),
-        ("Surface.shape embed.shape embed_shape.shape", mesh),
+        ("embedding", features.HeatKernelSignature(count=4)),
+        ("BasisFunctions.subspace", sk.AmbientFourier(m=16)),
+        ("Surface.given surface", mesh),
         ("Surface.solver", sk.Arpack()),
-        ("embed_batch.embedding", features.PlaneWaves(count=4)),
+        ("embed_batch.embedding", features.Coordinates()),
         ("embed_batch.points", torch.rand(2, 9, 3)),
         ("embed_batch.mass", torch.ones(2, 9)),
         ("mesh_eigenvalues.points", torch.tensor(np.array(ball.points))),
@@ -352,7 +354,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("wave_kernel_signature.width quantisation", 0.2),
         ("low", 0.0),
         ("limit", 5.0),
-        ("spectral_distance.time weights", None),
+        ("spectral_distance.time eigensolve.mass weights", None),
         ("mirrored match.elastic", False),
         ("a b thresholds energies times", [0.5, 1.0]),
         ("dnas", [[1.0, 2.0], [1.0, 3.0]]),
@@ -414,6 +416,11 @@ ALSO = {
     "subspace": {"function"},
     "parts": {"function"},
     "fit_functional_map.k": {"array", "none"},
+    "match.source": {"geometry"},
+    "match.target": {"geometry"},
+    "match_part.part": {"geometry"},
+    "match_part.whole": {"geometry"},
+    "prepare.spectrum": {"geometry"},
     "MatchedPair.point_map": {"number"},  # looked at with its geometries, when drawn
     "plot_spectrum.spectra": {"Spectrum"},
     "check_sources.geometry": {"Laplacian", "Spectrum"},
@@ -424,10 +431,9 @@ ALSO = {
     "spectrum.solver": {"Arpack"},
     "eigenvalues.solver": {"Arpack"},
     "mesh_eigenvalues.solver": {"Arpack"},
-    "Surface.shape": {"Laplacian", "Spectrum"},
-    "embed.shape": {"Laplacian", "Spectrum"},
+    "Surface.given": {"Laplacian", "Spectrum"},
+    "surface": {"Laplacian", "Spectrum"},
     "embed.solver": {"Arpack"},
-    "embed_shape.shape": {"Laplacian", "Spectrum"},
     "embed_shape.solver": {"Arpack"},
     "Recipe.solver": {"Arpack"},
     # Empty sequences, which are arrays of floats to NumPy.
@@ -689,8 +695,8 @@ def test_wrong_arguments_are_refused_by_name(name):
             " `spectrum`?",
         ),
         (
-            lambda e: sk.match(e["TriangleMesh"], e["TriangleMesh"]),
-            "`source` must be a Prepared or Spectrum, got a TriangleMesh; pass prepare(spectrum",
+            lambda e: sk.match(e["Laplacian"], e["TriangleMesh"]),
+            "`source` must be a TriangleMesh, PointCloud, Spectrum or Prepared, got a Laplacian",
         ),
         (
             lambda e: sk.eigensolve(e["Laplacian"], 5, sk.Dense),

@@ -8,8 +8,7 @@ from scipy.sparse.linalg import splu
 
 from spectra_kit import InvalidInputError
 from spectra_kit._sparse import SparseLDL
-from spectra_kit._sparse.elimination import Elimination
-from spectra_kit._sparse.minimum_degree import minimum_degree
+from spectra_kit._sparse.elimination import Elimination, minimum_degree
 from spectra_kit.geometry import sphere
 from spectra_kit.operators import intrinsic_delaunay
 

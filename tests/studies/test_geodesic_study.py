@@ -29,7 +29,7 @@ from spectra_kit.neo import NeoConfig, NeoNetwork, save_weights
 
 QUICK = ["--quick", "--repeats", "1", "--sources", "2", "--exact-sources", "2", "--warm", "2"]
 QUICK += ["--sphere", "2", "3"]
-N = 400
+N = 500
 
 
 def studies_of(folder, shapes):

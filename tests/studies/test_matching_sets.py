@@ -3,8 +3,14 @@
 import numpy as np
 import pytest
 from conftest import bumpy, creature, refused
-from studies.matching.protocols import Protocol, make_protocol
-from studies.matching.sets import USUAL, PairSet, pair_sets, triangulated_sets
+from studies.matching.sets import (
+    USUAL,
+    PairSet,
+    Protocol,
+    make_protocol,
+    pair_sets,
+    triangulated_sets,
+)
 from studies.matching.subjects import LACKING, Subject, demo_subjects, truth_between
 from studies.matching.triangulations import TRIANGULATIONS, finer, rounding, triangulated
 
@@ -61,7 +67,7 @@ def test_sets_that_are_not_there(data, monkeypatch):
 
 @pytest.fixture(scope="module")
 def animal():
-    mesh = creature(1500)
+    mesh = creature(1000)
     return Subject(
         "animal", mesh, np.arange(0, mesh.n, 3), np.arange(1, mesh.n, 3)[: -(-mesh.n // 3)]
     )

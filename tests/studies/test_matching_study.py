@@ -1,21 +1,20 @@
-"""The study of matching: data, protocols, measurements, memory, report and app."""
+"""The study of matching: data, protocols, measurements, memory and commands."""
 
 import csv
 import json
 from dataclasses import replace
 
-import match_collection
-import match_faust as app
 import numpy as np
 import pytest
 from conftest import bumpy, creature, refused
+from studies import run as command
+from studies.matching import command as app
 from studies.matching import methods, pyfm_peer, sets
+from studies.matching.command import summarize
 from studies.matching.measures import THRESHOLDS, best_candidate, measure_map
 from studies.matching.methods import METHODS, Entry, Outcome, Side
 from studies.matching.pairs import BACKENDS, KINDS, Pair, Pairs, Spectra, match_all, ways
-from studies.matching.protocols import Protocol, make_protocol
-from studies.matching.report import Matched, summarize, write_report
-from studies.matching.sets import PairSet
+from studies.matching.sets import PairSet, Protocol, make_protocol
 from studies.matching.subjects import Subject, demo_subjects, subjects_in, truth_between
 from studies.study import Result
 
@@ -306,23 +305,14 @@ def test_everything_that_decides_a_result_is_in_its_key(study, subjects):
 
 def test_failures_say_why(study):
     few = study(k=10)  # the fit needs 30
-    [result] = results = match_all(few, jobs=0)
+    [result] = match_all(few, jobs=0)
     assert "k" in result.reason
     [unsolved] = match_all(study(k=5000), jobs=0)  # more than vertices
     assert unsolved.reason.startswith("creature0: ")
     assert "`k` must be" in unsolved.reason
-    text = reported(few, results).read_text()
-    assert "Nothing was measured" in text
-    assert "Not matched" in text
 
 
-# --- sums and report ---
-
-
-def reported(pairs, results, *, name="toys"):
-    pairs.folder.mkdir(exist_ok=True)
-    toys = PairSet(name, pairs.spectra.subjects, PROTOCOL)
-    return write_report(pairs.folder, [Matched(toys, pairs, results)])
+# --- sums and tables ---
 
 
 PROTOCOL = Protocol("random", (("s0", "t"),))
@@ -358,145 +348,105 @@ def made_up_results(**fields):
 def test_summaries_do_their_sums():
     records = [result.record for result in made_up_results()[:3]]
     exact = summarize(records, PROTOCOL)
-    assert (exact["mean"], exact["median"], exact["bad"]) == (4, 2, pytest.approx(1 / 3))
+    assert (exact["mean"], exact["median"], exact["over 8"]) == (4, 2, pytest.approx(1 / 3))
     assert exact["worst"] == 9
     assert (exact["pairs"], exact["direct"], exact["either"]) == (3, 4, 1.5)
     assert (exact["flipped"], exact["partly"]) == (0, 1)
     counted = summarize(records, LISTED)
-    assert (counted["mean"], counted["bad"]) == (1.5, 0)
+    assert (counted["mean"], counted["over 8"]) == (1.5, 0)
     warned = [{**one, "ambiguous": i != 1} for i, one in enumerate(records)]
     found = summarize(warned, PROTOCOL)
-    assert (found["doubted_wrong"], found["doubted_right"]) == (1, 1)
+    assert (found["doubted wrong"], found["doubted right"]) == ("1/1", "1/2")
     sure = [{**one, "confidence": c} for one, c in zip(warned, (0.4, 0.5, 0.6), strict=True)]
     found = summarize(sure, PROTOCOL)  # a confidence says more than a yes or no
-    assert (found["doubted_wrong"], found["doubted_right"]) == (0, 1)
+    assert (found["doubted wrong"], found["doubted right"]) == ("0/1", "1/2")
     one_sided = [*records[:2], {**records[2], "symmetric": float("nan")}]
     unknown = summarize(one_sided, PROTOCOL)  # without a symmetric truth nothing is flipped
     assert (unknown["flipped"], unknown["partly"]) == (None, None)
 
 
-def cells_of(text):
-    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
-
-
-def test_report_names_protocol_numbers_and_ratio(study):
-    pairs, results = study(), made_up_results()
-    text = reported(pairs, results).read_text()
-    head = ["toys", "wks-zoomout, exact", "3", "**4.00**", "2.00", "9.00", "33%", "1.00", "0/1"]
-    assert any(cells[:9] == head for cells in cells_of(text))
-    for words in (
-        "toys: 1 pairs (random: ordered pairs drawn at random",
-        "toys, wks-zoomout, neo: 2.00 times the mean error with exact spectra",
-        "along the edges of the source",
-        "left for right",
-        "A pair has one thread",
-    ):
-        assert words in text
-    assert "pyFM" not in text
-    found = json.loads((pairs.folder / "matching.json").read_text())
-    assert found["summaries"][1]["mean"] == 8
-    assert found["geodesics"] == "edges"
-    assert (pairs.folder / "accuracy-toys.png").stat().st_size > 10_000
-    [own] = ways(methods=["pyfm"])
-    unknown = {"symmetric": float("nan")}
-    results = [replace(result, contender=own) for result in made_up_results(**unknown)[:3]]
-    exact = study(geodesics="exact")
-    text = reported(exact, results).read_text()
-    assert "exact geodesic distances on the source" in text
-    assert "pyfm: pyFM with the parameters of its README (version 1.3.1): 30 modes" in text
-    [_, cells] = [cells for cells in cells_of(text) if cells[1:2] == ["pyfm"]]
-    assert cells[3:8] == ["4.00", "", "", "", ""]  # direct to partly
-    summary = json.loads((pairs.folder / "matching.json").read_text())["summaries"][0]
-    assert (summary["symmetric"], summary["flipped"]) == (None, None)
-
-
-def test_sets_are_reported_beside_each_other(study):
-    pairs, results = study(), made_up_results()[:3]
+def test_ways_and_sets_are_told_beside_each_other(study):
+    pairs, results = study(), made_up_results(confidence=0.7)
     pairs.folder.mkdir(exist_ok=True)
-    worse = [
-        Result(r.contender, r.problem, 0, record(3 * r.record["direct"], r.record["either"]))
-        for r in results
-    ]
     subjects = pairs.spectra.subjects
     plain = PairSet("plain", subjects, PROTOCOL, against="plain")
     cloud = PairSet("cloud", subjects, PROTOCOL, "points are off", against="plain")
-    both = [Matched(plain, pairs, results), Matched(cloud, pairs, worse)]
-    text = write_report(pairs.folder, both).read_text()
-    assert "- cloud, wks-zoomout, exact: 3.00 times that of plain" in text
-    assert "- plain, wks" not in text
-    assert "without self pairs); points are off" in text
-    lines = list(csv.DictReader((pairs.folder / "pairs.csv").read_text().splitlines()))
-    assert [line["set"] for line in lines] == ["plain"] * 3 + ["cloud"] * 3
-    found = json.loads((pairs.folder / "matching.json").read_text())
-    assert [(row["set"], row["worst"]) for row in found["summaries"]] == [
-        ("plain", 9),
-        ("cloud", 27),
-    ]
-    assert not list(pairs.folder.glob("calibration*"))  # no confidence was told
-    sure = [replace(r, record={**r.record, "confidence": 0.7}) for r in results]
-    write_report(pairs.folder, [Matched(plain, pairs, sure)])
-    [picture] = pairs.folder.glob("calibration-mesh-exact-wks-zoomout.png")
-    assert picture.stat().st_size > 10_000
+    worse = [replace(r, record={**r.record, "direct": 3 * r.record["direct"]}) for r in results[:3]]
+    app.report(pairs.folder, [app.Matched(plain, pairs, results), app.Matched(cloud, pairs, worse)])
+    tables = json.loads((pairs.folder / "matching.json").read_text())["tables"]
+    exact, neo, off = tables["Errors"]
+    assert (exact["mean"], exact["worst"], exact["doubted wrong"]) == (4, 9, "0/1")
+    assert [row.get("of exact") for row in (exact, neo, off)] == [None, 2, None]
+    assert [row.get("of the plain set") for row in (exact, neo, off)] == [None, None, 3]
+    assert tables["Sets"][1]["note"] == "points are off"
+    lines = list(csv.DictReader((pairs.folder / "matching.csv").read_text().splitlines()))
+    assert [line["set"] for line in lines] == ["plain"] * 6 + ["cloud"] * 3
+    assert [line["source"] for line in lines[:3]] == ["s0", "s1", "s2"]
 
 
-# --- the app ---
+# --- the commands ---
 
 
-def test_the_app_matches_draws_and_goes_on(tmp_path, capsys, monkeypatch):
+def test_the_command_matches_draws_and_goes_on(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(sets, "demo_subjects", lambda: demo_subjects(500, poses=2))
-    command = [str(tmp_path), "--demo", "--pairs", "2", "-k", "30", "--jobs", "0"]
-    command += ["--methods", PLAIN]
-    assert app.main(command) == 0
-    said, err = capsys.readouterr()
-    picture = tmp_path / "extremes-demo-mesh-exact-wks-zoomout.png"
-    assert f"picture: {picture}" in said
-    assert picture.stat().st_size > 20_000
-    assert err == ""  # no bar in a pipe
-    lines = list(csv.DictReader((tmp_path / "pairs.csv").read_text().splitlines()))
+    words = ["matching", str(tmp_path), "--demo", "--pairs", "2", "-k", "30", "--jobs", "0"]
+    words += ["--methods", PLAIN]
+    assert command.main(words) == 0
+    assert capsys.readouterr().err == ""  # no bar in a pipe
+    for name in ("extremes-demo-mesh-exact-wks-zoomout", "accuracy-demo"):
+        assert (tmp_path / f"{name}.png").stat().st_size > 20_000
+    lines = list(csv.DictReader((tmp_path / "matching.csv").read_text().splitlines()))
     maps = tmp_path.rglob("maps/*/*.npy")
-    assert sorted(path.stem.split("--")[2] for path in maps) == sorted(x["digest"] for x in lines)
+    assert sorted(path.stem.split("--")[2] for path in maps) == sorted(x["key"] for x in lines)
     journal = (tmp_path / "measurements.jsonl").read_text()
-    assert app.main([*command, "--no-pictures"]) == 0
+    assert command.main([*words, "--no-pictures"]) == 0
     assert (tmp_path / "measurements.jsonl").read_text() == journal
 
 
-def test_the_app_says_what_is_wrong_and_can_be_interrupted(tmp_path, capsys, monkeypatch):
+def test_the_command_says_what_is_wrong_and_can_be_interrupted(tmp_path, capsys, monkeypatch):
     monkeypatch.delenv("SPECTRA_KIT_DATA", raising=False)
     monkeypatch.setattr(sets, "demo_subjects", lambda: demo_subjects(500, poses=2))
-    out = str(tmp_path / "out")
+    words = ["matching", str(tmp_path / "out")]
     few = ["--demo", "--pairs", "1", "--jobs", "0", "--no-pictures", "--methods", PLAIN]
-    for command, said in (
+    for wrong, said in (
         ([], "`data` must be folders, or names of sets in SPECTRA_KIT_DATA, got 'faust_r'"),
         (["--data", str(tmp_path)], "must hold .npz files"),
         (["--demo", "--jobs", "-1"], "`jobs` must be at least 0"),
     ):
-        assert app.main([out, *command]) == 2
+        assert command.main([*words, *wrong]) == 2
         assert said in capsys.readouterr().err
-    assert app.main([out, *few, "-k", "9999", "--geodesics", "exact"]) == 1
-    report = capsys.readouterr().out
-    assert "Not matched" in report
-    assert "exact geodesic distances on the source" in report
+    assert command.main([*words, *few, "-k", "9999"]) == 1
+    assert "Not measured" in capsys.readouterr().out
 
     def interrupted(*sides):
         raise KeyboardInterrupt
 
     monkeypatch.setitem(METHODS, PLAIN, Entry(interrupted))
-    assert app.main([out, *few, "-k", "30"]) == 130
+    assert command.main([*words, *few, "-k", "30"]) == 130
     assert "the same command goes on from here" in capsys.readouterr().err
 
 
-def test_a_set_is_matched_as_one_collection(tmp_path, capsys):
+def test_a_set_is_matched_as_one_collection(tmp_path):
     for name, subject in demo_subjects(500, poses=3).items():
         write_subject(tmp_path / f"{name}.npz", subject.mesh, corres=subject.landmarks)
-    out = str(tmp_path / "out")
-    command = [out, "--data", str(tmp_path), "--pairs", "2"]
-    assert match_collection.main(command) == 0
-    said, err = capsys.readouterr()
-    assert "3 shapes as one collection" in said
-    assert "groups of 3; fits no other: none" in said
-    assert err == ""  # no bar in a pipe
-    row = next(line for line in said.splitlines() if line.startswith("| 2 "))
-    assert float(row.split("|")[4]) < 5  # the worst pair
-    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "out" / "matched").iterdir()}
-    assert match_collection.main(command) == 0
+    out = tmp_path / "out"
+    words = ["collection", str(out), "--data", str(tmp_path), "--pairs", "2"]
+    assert command.main(words) == 0
+    [row] = json.loads((out / "collection.json").read_text())["tables"]["Maps between pairs"]
+    assert (row["shapes"], row["groups"], row["fits no other"]) == (3, [3], "")
+    assert row["worst"] < 5
+    kept = {path: path.stat().st_mtime_ns for path in (out / "matched").iterdir()}
+    assert command.main(words) == 0
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
+
+
+def test_pairs_with_many_vertices_are_measured_beside_those_of_few(tmp_path):
+    for name, subject in demo_subjects(500, poses=2).items():
+        write_subject(tmp_path / f"{name}.npz", subject.mesh, corres=subject.landmarks)
+    out = tmp_path / "out"
+    words = ["dense", str(out), "--data", str(tmp_path), "--pairs", "1", "--vertices", "1500"]
+    for _ in range(2):
+        assert command.main(words) == 0
+    [record] = map(json.loads, (out / "measurements.jsonl").read_text().splitlines())
+    assert record["vertices"] >= 1500
+    assert max(record["error"], record["coarse"], record["rounded"]) < 5

@@ -4,20 +4,20 @@ import dataclasses
 import json
 import shutil
 
-import evaluate_neo as app
 import numpy as np
 import pytest
 import torch
 from conftest import bumpy, refused, two_parts
 from studies import figures
-from studies.network import per_model
+from studies import run as command
+from studies.network import command as app
 from studies.network.accuracy import Accuracy
 from studies.network.cases import Case
-from studies.network.findings import Goal, Row, of_accuracy
+from studies.network.command import statistics, write_answer
+from studies.network.findings import STEPS, Row, beside, lead, mean, over, worst
 from studies.network.methods import joined, label, network, waves
 from studies.network.questions import QUESTIONS, Settings, ask
-from studies.network.report import statistics, write_answer
-from studies.network.training import training_curves, untold, write_training
+from studies.network.training import training_curves, write_training
 from studies.paper import errors_told, seconds_told
 from studies.shapes import Shape, demo_shapes
 from studies.store import Store
@@ -113,7 +113,7 @@ def test_what_the_solver_finds_is_found(measured):
 
 
 def test_what_is_timed_is_what_the_solver_does(animal, tmp_path):
-    case = Case(shape=animal, points=1200)
+    case = Case(shape=animal, points=900)
     solved = eigensolve(case.laplacian(), 10, Neo(max_steps=0))
     study = Accuracy(folder=Store(tmp_path).folder, contenders=[], problems=[], k=10)
     exact, timed, _ = study.compare(SMALL, case)
@@ -204,15 +204,14 @@ def row(models, points, method, *spans, **seconds):
     return Row(labels, method, (case,) * len(spans), tuple(record(s, **seconds) for s in spans))
 
 
-def test_lead_growth_and_goals():
+def test_lead_and_growth():
     size = SMALL.columns
-    rival, best = waves(size, 7.0), waves(640, 10.0)
     rows = [
-        row("real", 8192, SMALL, [0, 0.01], seconds=2.0),
-        row("real", 8192, rival, [0, 0.04], seconds=1.0),
-        row("real", 8192, waves(size, 10.0), [0, 0.07], seconds=1.0),
-        row("real", 8192, best, [0, 0.004]),
-        row("real", 65536, SMALL, [0, 0.02], seconds=20.0),
+        row("real", 8192, SMALL, [0, 0.01]),
+        row("real", 8192, waves(size, 7.0), [0, 0.04]),
+        row("real", 8192, waves(size, 10.0), [0, 0.07]),
+        row("real", 8192, waves(640, 10.0), [0, 0.004]),
+        row("real", 65536, SMALL, [0, 0.02]),
         row("procedural", 8192, SMALL, [0, 0.02]),
         row("procedural", 65536, SMALL, [0, 0.02]),
     ]
@@ -220,18 +219,12 @@ def test_lead_growth_and_goals():
     rows[5] = dataclasses.replace(  # a shape that is missing at 65,536 points does not count
         rows[5], cases=(*rows[5].cases, elsewhere), records=(*rows[5].records, record([0, 9.0]))
     )
-    found = {finding.text: finding for finding in of_accuracy(rows)}
-    error = found[f"real, 8,192 points, {SMALL}: mean span error"]
-    assert error.value == pytest.approx(0.005)
-    assert [goal.met(error.value) for goal in error.goals] == [True, True, False]
-    lead = found[f"real, 8,192 points, {SMALL}: times less than {rival}"]
-    assert lead.value == pytest.approx(4)
-    assert [goal.met(lead.value) for goal in lead.goals] == [True, False]
-    growth = found[f"real, 65,536 points, {SMALL}: times the error at 8,192"]
-    assert (growth.value, growth.goals) == (pytest.approx(2), (Goal(1.5),))
-    assert not growth.goals[0].met(growth.value)
-    growth = found[f"procedural, 65,536 points, {SMALL}: times the error at 8,192"]
-    assert (growth.value, growth.goals) == (pytest.approx(1), ())
+    assert rows[0].mean() == pytest.approx(0.005)
+    assert lead(rows[0], rows) == pytest.approx(4)
+    assert lead(rows[1], rows) is lead(rows[4], rows) is None
+    assert over(rows[4], rows, points=8192) == pytest.approx(2)
+    assert over(rows[6], rows, points=8192) == pytest.approx(1)
+    assert over(rows[0], rows, points=8192) is over(rows[0], rows, points=1) is None
 
 
 def test_means_over_modes():
@@ -253,29 +246,29 @@ def test_neo_is_set_beside_waves_that_are_smoothed_alike():
         return Row(labels, method, cases[: len(values)], records)
 
     some = (0.5, 0.5), (0.02, 0.04), (1e-4, 2e-4)
-    rows = [of(SMALL, n, *values) for n, values in zip(per_model.STEPS, some, strict=True)]
+    rows = [of(SMALL, n, *values) for n, values in zip(STEPS, some, strict=True)]
     for bandwidth, worse in ((7.0, 1), (10.0, 3)):  # of which the better is the rival
         method = waves(SMALL.columns, bandwidth)
         rows.append(of(method, 0, *[0.6 * worse] * 2))
         rows.append(of(method, 1, 0.04 * worse, 0.72 * worse))  # 2 and 18 times, 6 in the mean
-        rows.append(of(method, per_model.STEPS[-1], 1e-4 * worse, 1e-4 * worse))
-    [found] = per_model.beside(rows)
+        rows.append(of(method, STEPS[-1], 1e-4 * worse, 1e-4 * worse))
+    [found] = beside(rows)
     assert list(found.worst_first) == [1, 0]
     np.testing.assert_allclose(found.columns["ratio after one step"], [2, 18])
     np.testing.assert_allclose(found.columns["ratio"], [1, 0.5])
-    told = {finding.text: finding for finding in per_model.findings(rows)}
-    lead = "real: times less than plane waves smoothed alike, by one step each"
-    assert told[f"{lead}, mean"].value == pytest.approx(6)
-    assert told[f"{lead}, worst (ball)"].value == pytest.approx(2)
-    assert all(g.met(told[f"{lead}, mean"].value) for g in told[f"{lead}, mean"].goals)
-    assert told["real: span error before smoothing, mean"].value == pytest.approx(0.25)
+    ratio = "ratio after one step"
+    assert mean(ratio, found.columns[ratio]) == pytest.approx(6)
+    assert worst(ratio, found.columns[ratio]) == pytest.approx(2)
+    before = "span error before"
+    assert mean(before, found.columns[before]) == pytest.approx(0.25)
+    assert worst(before, found.columns[before]) == pytest.approx(0.25)
     rows[0] = of(SMALL, 0, 0.5)  # only what all were measured on
-    assert [case.shape.name for one in per_model.beside(rows) for case in one.cases] == ["ball"]
-    assert list(per_model.beside(rows[1:])) == []
+    assert [case.shape.name for one in beside(rows) for case in one.cases] == ["ball"]
+    assert list(beside(rows[1:])) == []
 
 
 def test_smoothed_methods_are_what_neo_does(animal, tmp_path):
-    case = Case(shape=animal, points=1200)
+    case = Case(shape=animal, points=900)
     study = Accuracy(folder=Store(tmp_path).folder, contenders=[], problems=[], k=10)
     _, found, comparison = study.compare(network("small", steps=2), case)
     solved = eigensolve(case.laplacian(), 10, Neo(max_steps=2))
@@ -333,38 +326,36 @@ def store(tmp_path_factory):
 def test_a_question_is_answered(name, settings, store, tmp_path):
     answer = ask(name, settings, store)
     assert all(row.cases for row in answer.rows)
-    text = write_answer(answer, tmp_path)
-    found = json.loads((tmp_path / f"{name}.json").read_text())
-    assert text.startswith(f"## {QUESTIONS[name].title}")
-    assert len(found["rows"]) == len(answer.rows)
-    for line, r in zip(found["rows"], answer.rows, strict=True):
-        assert line["span"]["mean"] == pytest.approx(r.mean())
-        assert len(line["span"]["per_mode_quartiles"][1]) == 6
-    assert found["figures"]
-    assert all((tmp_path / figure).stat().st_size > 5000 for figure in found["figures"])
-    assert all(f"]({figure})" in text for figure in found["figures"])
+    write_answer(answer, tmp_path)
+    tables = json.loads((tmp_path / f"{name}.json").read_text())["tables"]
     if name == "models":
-        for beside in per_model.beside(answer.rows):
-            table = text[text.index(f"### {beside.place}") :].splitlines()[4:6]
-            names = [beside.cases[i].shape.name for i in beside.worst_first]
-            assert [line.split("|")[1].strip() for line in table] == names
+        for one in beside(answer.rows):
+            names = [one.cases[i].shape.name for i in one.worst_first]
+            assert [row["model"] for row in tables[str(one.place)]] == [*names, "mean", "worst"]
+        return
+    found = tables[QUESTIONS[name].title]
+    assert len(found) == len(answer.rows)
+    for line, r in zip(found, answer.rows, strict=True):
+        key = "mean span error" if name == "rotation" else "span error, mean"
+        assert line[key] == pytest.approx(r.mean())
     if name == "sampling":
-        assert "demo, non-uniform, mass-aware: times the error on uniform samples" in text
+        assert [row["over uniform"] is None for row in found] == [True, True, False, False]
     if name == "accuracy":  # where there is no room for a method it is left out
+        assert all(path.stat().st_size > 5000 for path in (tmp_path / "figures").iterdir())
         solved = {(row.labels["points"], row.labels["solver"]) for row in answer.rows}
         assert (110, "neo tiny, 4 poses") in solved
         assert (150, "fourier m=80, bandwidth 4") in solved
         assert (110, "fourier m=80, bandwidth 4") not in solved
 
 
-def test_the_report_lists_what_failed(settings, store, tmp_path):
+def test_what_failed_is_told(settings, store, tmp_path):
     few = dataclasses.replace(settings, points=(110,), poses=(1,), fourier=(5,))
-    text = write_answer(ask("accuracy", few, store), tmp_path)
+    write_answer(ask("accuracy", few, store), tmp_path)
     large = dataclasses.replace(settings, points=(800, 65536), few=1)
     places = QUESTIONS["accuracy"].places(large)
     assert {(place["points"], len(cases)) for place, cases in places} == {(800, 2), (65536, 1)}
-    assert "Could not be measured:" in text
-    assert "- plate: `basis` must span at least k = 6" in text
+    failed = json.loads((tmp_path / "accuracy.json").read_text())["failed"]
+    assert "`basis` must span at least k = 6" in failed[0]["reason"]
 
 
 # --- training ---
@@ -372,70 +363,63 @@ def test_the_report_lists_what_failed(settings, store, tmp_path):
 
 def test_the_validations_of_training_are_tabled_and_drawn(trained, tmp_path):
     weights = [trained("slow.safetensors", -0.25), trained("fast/weights.safetensors", -0.75)]
-    text = write_training(weights, tmp_path / "out")
-    slow, fast = json.loads((tmp_path / "out" / "training.json").read_text())["curves"]
+    write_training(weights, tmp_path)
+    [table] = json.loads((tmp_path / "training.json").read_text())["tables"].values()
+    slow, fast = table
     assert (slow["weights"], fast["weights"]) == ("slow", "fast") == tuple(map(label, weights))
-    for curve, p in ((slow, 0.25), (fast, 0.75)):
-        assert curve["law"]["p"] == pytest.approx(p, rel=0.01)
-        assert curve["law"]["s0"] == pytest.approx(50, rel=0.1)
-        assert curve["promise"] == pytest.approx((16050 / 1650) ** p, rel=0.01)
-    assert slow["samples"] == fast["samples"] == [100, 200, 400, 1600]
-    assert slow["hours"] == pytest.approx([1, 2, 4, 16])
-    np.testing.assert_allclose(slow["span_error"], 0.3 * np.array([1.5, 2.5, 4.5, 16.5]) ** -0.25)
-    assert text.count("lacks:") == text.count("the number of cores") == 2
-    assert (tmp_path / "out" / "figures" / "training-hours.png").stat().st_size > 5000
+    for row, p in ((slow, 0.25), (fast, 0.75)):
+        assert row["p"] == pytest.approx(p, rel=0.01)
+        assert row["s0"] == pytest.approx(50, rel=0.1)
+        assert row["promise"] == pytest.approx((16050 / 1650) ** p, rel=0.01)
+    assert slow["curve"]["samples"] == fast["curve"]["samples"] == [100, 200, 400, 1600]
+    assert slow["curve"]["hours"] == pytest.approx([1, 2, 4, 16])
+    expected = 0.3 * np.array([1.5, 2.5, 4.5, 16.5]) ** -0.25
+    np.testing.assert_allclose(slow["curve"]["errors"], expected)
+    assert (tmp_path / "figures" / "training-hours.png").stat().st_size > 5000
     [short] = training_curves(trained("short.safetensors", -1, samples=(100,)))
     assert short.law is None  # one validation has no slope
     [rising] = training_curves(trained("rising.safetensors", 1))
     assert np.isnan(rising.promise)
     before, after = training_curves("small")
     assert before.errors[-1] > after.errors[-1]
-    assert "number of cores" not in untold("small")
     with pytest.raises(InvalidInputError, match=r"none in .*silent.safetensors; train with"):
         write_training([trained("silent.safetensors", -1, samples=())], tmp_path)
 
 
-# --- the app ---
+# --- the command ---
 
 
-def test_the_app_asks_one_question_draws_the_worst_and_continues(tiny, tmp_path, capsys):
+def test_the_command_asks_one_question_draws_the_worst_and_continues(tiny, tmp_path, capsys):
     (tmp_path / "meshes").mkdir()
     write(bumpy(), tmp_path / "meshes" / "ball.ply")
     out = tmp_path / "out"
-    command = ["models", str(out), "--data", str(tmp_path / "meshes"), "-k", "6"]
-    command += ["--procedural", "0", "--focus", "200", "--weights", tiny]
-    assert app.main(command) == 0
+    words = ["network", str(out), "models", "--data", str(tmp_path / "meshes"), "-k", "6"]
+    words += ["--procedural", "0", "--focus", "200", "--weights", tiny]
+    assert command.main(words) == 0
     said, err = capsys.readouterr()
     assert "](figures/worst-real-1-ball.png)" in said
     assert (out / "figures" / "worst-real-1-ball.png").stat().st_size > 5000
-    assert (out / "report.md").read_text().count("\n## ") == 1
-    assert said.rstrip().endswith("report.md")
     assert err == ""
     measured = (out / "measurements.jsonl").read_text()
     assert len(measured.splitlines()) == 18  # the network and two bandwidths, smoothed thrice
-    assert app.main(command) == 0
+    assert command.main([*words, "--worst", "0"]) == 0
     assert (out / "measurements.jsonl").read_text() == measured
 
 
-def test_the_app_shows_the_training_without_data(trained, tmp_path, capsys, monkeypatch):
+def test_the_command_shows_the_training_without_data(trained, tmp_path, capsys, monkeypatch):
     monkeypatch.delenv("SPECTRA_KIT_DATA", raising=False)
-    out = tmp_path / "out"
-    assert app.main(["training", str(out), "--procedural", "0"]) == 0
+    words = ["network", str(tmp_path)]
+    assert command.main([*words, "training", "--procedural", "0"]) == 0
     assert "| small" in capsys.readouterr().out
-    assert {p.name for p in out.iterdir()} == {
-        "training.json", "training.md", "report.md", "figures",
-    }  # fmt: skip
     weights = ["--weights", trained("silent.safetensors", -1, samples=())]
-    assert app.main(["training", str(out), *weights]) == 2
+    assert command.main([*words, "training", *weights]) == 2
     assert "error: `weights` must hold the validations" in capsys.readouterr().err
     monkeypatch.setattr(app, "QUESTIONS", {})  # the other chapters take a while
     asked = []
     monkeypatch.setattr(app, "Settings", lambda **given: asked.append(Settings(**given)))
-    assert app.main(["all", str(out), "--quick", *weights]) == 0
+    assert command.main([*words, "all", "--quick", *weights]) == 0
     assert "training is not drawn: `weights` must hold the validations" in capsys.readouterr().err
     assert {name: len(shapes) for name, shapes in asked[0].sets.items()} == {
         "demo": 1, "procedural": 1,
     }  # fmt: skip
     assert (asked[0].k, asked[0].points, asked[0].poses) == (16, (512, 1024), (1, 2))
-    assert app.main(["models", str(tmp_path), "--procedural", "0"]) == 2
-    assert "error: `sets` and `weights` must hold at least one shape" in capsys.readouterr().err

@@ -19,10 +19,12 @@ from spectra_kit._core.files import atomic_path
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count
 from spectra_kit.eigen import Automatic, Eigensolver, Neo
+from spectra_kit.eigen.subspaces import AmbientFourier
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh, sample
 from spectra_kit.learn.examples import Example, prepared
 from spectra_kit.learn.fitting import fit, predicted, with_copies
+from spectra_kit.neo import NeoSubspace
 from studies.learning.labelled import LabelledSet
 from studies.store import Record, Store
 from studies.study import Result, Study, run
@@ -44,21 +46,21 @@ SOLVERS: dict[str, Eigensolver] = {"exact": Automatic(), "predicted": Neo()}
 #: Of whole shapes, for heads; side by side, as rows name them: ``waves+dna``.
 WHOLE: dict[str, e.Embedding] = {
     "dna": e.ShapeDNA(count=45),
-    "heat": e.HeatSignature(),
-    "waves": e.WaveSignature(count=32, width=1.5, first=3),
-    "all-waves": e.WaveSignature(),
-    "global": e.GlobalPoints(),
+    "heat": e.HeatKernelSignature(),
+    "waves": e.WaveKernelSignature(count=32, width=1.5, first=3),
+    "all-waves": e.WaveKernelSignature(),
+    "global": e.GlobalPointSignature(),
 }
 #: Of points, for networks.
 OF_POINTS: dict[str, e.Embedding] = {
-    "neo-mass-free": e.NeoFunctions(masses=False, poses=1),
-    "neo": e.NeoFunctions(poses=1),
-    "plane-waves": e.PlaneWaves(),
+    "neo-mass-free": e.BasisFunctions(subspace=NeoSubspace(), masses=False),
+    "neo": e.BasisFunctions(subspace=NeoSubspace()),
+    "plane-waves": e.BasisFunctions(subspace=AmbientFourier(m=132, bandwidth=7.0)),
     "encoding": e.PositionalEncoding(),
     "coordinates": e.Coordinates(),
-    "heat": e.HeatSignature(),
-    "waves": e.WaveSignature(),
-    "global": e.GlobalPoints(),
+    "heat": e.HeatKernelSignature(),
+    "waves": e.WaveKernelSignature(),
+    "global": e.GlobalPointSignature(),
 }
 HEADS: dict[str, learn.Head] = {
     "nearest": learn.NearestNeighbour(),

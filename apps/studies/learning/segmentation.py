@@ -29,7 +29,7 @@ K = 96  #: Modes.
 _LOOKS = 40  # at the test shapes, for the curve
 COPIES = 15  #: Stretched ones of each, where there are few examples.
 
-EMBEDDINGS: dict[str, e.Embedding] = {**OF_POINTS, "global": e.GlobalPoints(count=16)}
+EMBEDDINGS: dict[str, e.Embedding] = {**OF_POINTS, "global": e.GlobalPointSignature(count=16)}
 NETWORKS: dict[str, learn.Network] = {
     "diffusion": learn.DiffusionNet(dropout=0.2),
     "mlp": learn.PointMLP(),

@@ -28,8 +28,9 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from spectra_kit import prepare, spectrum
 from spectra_kit._core.types import Bools, Floats, Ints
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
+from spectra_kit.geodesics import edge_graph, pair_distances
 from spectra_kit.geometry import TriangleMesh, largest_component
-from spectra_kit.maps import edge_graph, geodesic_distances, match_part
+from spectra_kit.maps import match_part
 from studies.machine import describe_machine
 from studies.matching.subjects import Subject, subjects_in
 from studies.report import Table, write_report
@@ -180,7 +181,7 @@ class Parts(Study[str, CutPair]):
         seconds = time.process_time() - start
         both = kept & left[other.landmarks] & np.isin(one.landmarks, piece.vertices)
         places = piece.vertices[found.point_map[other.landmarks[both]]]
-        errors = geodesic_distances(one.mesh, one.landmarks[both], places)
+        errors = pair_distances(one.mesh, one.landmarks[both], places)
         return {
             "kind": problem.kind,
             "error": 100 * float(errors.mean()) / one.mesh.area**0.5,

@@ -15,7 +15,6 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit._sparse.torch_device import csr_like
 from spectra_kit.eigen.automatic import Automatic
 from spectra_kit.eigen.base import Eigensolver
-from spectra_kit.eigen.differentiable.first import first_derivative
 from spectra_kit.eigen.differentiable.modes import whole_clusters
 from spectra_kit.eigen.solve import eigensolve
 from spectra_kit.errors import InvalidInputError
@@ -60,9 +59,6 @@ def eigenvalues(
 
     Raises
     ------
-    InvalidInputError
-        If a tensor has another shape or layout or is not real, and as `Laplacian` and
-        `eigensolve`.
     ConvergenceError, InvalidSpectrumError, OutOfMemoryError
         As `eigensolve`.
 
@@ -194,3 +190,30 @@ def _like(matrix: Tensor, entries: Any) -> Tensor:
     return torch.sparse_coo_tensor(
         matrix.indices(), values, matrix.shape, is_coalesced=True, check_invariants=True
     )
+
+
+def first_derivative(gradient: Tensor, *of: Tensor) -> Tensor:
+    """Return a gradient that refuses to be differentiated by what it is a function of.
+
+    `torch.autograd.function.once_differentiable` does so for weights that have a gradient
+    themselves; a plain sum of eigenvalues would silently have second derivatives of zero.
+    """
+    if not torch.is_grad_enabled():  # nobody has said ``create_graph=True``
+        return gradient
+    found: Tensor = _First.apply(gradient, *of)  # type: ignore[no-untyped-call]
+    return found
+
+
+class _First(torch.autograd.Function):
+    """The identity, that cannot be differentiated."""
+
+    @staticmethod
+    def forward(ctx: Any, gradient: Tensor, *of: Tensor) -> Tensor:
+        return gradient.clone()
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        raise InvalidInputError(
+            "eigenvalues have first derivatives alone",
+            advice="take second ones by differences of the first",
+        )

@@ -12,8 +12,7 @@ from torch import Tensor
 from spectra_kit._core.checked import checked
 from spectra_kit.eigen.automatic import Automatic
 from spectra_kit.eigen.base import Eigensolver
-from spectra_kit.eigen.differentiable.first import first_derivative
-from spectra_kit.eigen.differentiable.matrices import array_of
+from spectra_kit.eigen.differentiable.matrices import array_of, first_derivative
 from spectra_kit.eigen.differentiable.modes import whole_clusters
 from spectra_kit.eigen.solve import eigensolve
 from spectra_kit.errors import InvalidInputError
@@ -60,10 +59,6 @@ def mesh_eigenvalues(
 
     Raises
     ------
-    InvalidInputError
-        If `points` is no real tensor; as `TriangleMesh`, `laplacian` and `eigensolve`. Where a
-        gradient is wanted: if two ends of an edge coincide; or if the triangles of "robust", of
-        which its library tells nothing, are not found again, as may happen among needles.
     ConvergenceError, InvalidSpectrumError, OutOfMemoryError
         As `laplacian` and `eigensolve`.
 

@@ -57,11 +57,6 @@ def coarsest_eigenpairs(
     eigenvectors : ndarray of shape (n, block)
         On the subset, orthonormal in ``P^T M P``.
 
-    Raises
-    ------
-    InvalidInputError
-        If the functions of the level span fewer than k dimensions.
-
     Notes
     -----
     Each sweep filters the columns by a Chebyshev polynomial of ``(L - sigma M)^-1 M`` that is

@@ -55,11 +55,6 @@ def well_spread(operator: Laplacian | Coarse, n_points: int) -> Subset:
         No two closer than ``radius`` unless two sheets of the surface come as close. Where points
         lie further apart than that, all are taken.
 
-    Raises
-    ------
-    InvalidInputError
-        If `n_points` is not in [1, n], or less than the number of connected parts.
-
     Notes
     -----
     A maximal packing of balls by an advancing front, in O(n). It is deterministic.
@@ -131,11 +126,6 @@ def prolongation(operator: Laplacian | Coarse, subset: Subset) -> sparse.csr_arr
         Rows sum to one. It reproduces functions that are linear along a plane, carries smooth
         ones with an error of second order in the radius, and smooths what is rougher. Two sheets
         of the surface do not mix, however close, but where they meet within five radii.
-
-    Raises
-    ------
-    InvalidInputError
-        If a point has none of the subset within reach.
 
     Notes
     -----
@@ -247,11 +237,6 @@ def coarsen(operator: Laplacian | Coarse, n_points: int) -> Coarse:
     -------
     Coarse
         With the interpolation that leads back to all points of `operator`.
-
-    Raises
-    ------
-    InvalidInputError
-        If `n_points` is not in [1, n].
 
     Notes
     -----

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,9 @@ from spectra_kit._core.threads import in_threads, ranges, single_threaded_blas
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, check_positive
 from spectra_kit.eigen.subspaces.frame import canonical_frame
+
+if TYPE_CHECKING:
+    import torch
 
 _ROWS = 4_096  # evaluated at a time: stays in the cache, and each thread takes the next
 
@@ -34,11 +38,6 @@ class AmbientFourier:
         frame (in which the shape spans [-1, 1]). More for finer detail, at a larger m.
     seed : int, default 0
         Of the wave vectors.
-
-    Raises
-    ------
-    InvalidInputError
-        If a parameter is out of range.
 
     Notes
     -----
@@ -66,9 +65,9 @@ class AmbientFourier:
     def __call__(self, points: Floats, mass: Floats) -> NDArray[np.float64]:
         """See `Subspace`."""
         posed = canonical_frame(points, mass).pose(points)
-        n_cosines = (self.m - 3) // 2
+        waves = self._waves()
+        n_cosines = waves.shape[1]
         n_sines = self.m - 4 - n_cosines
-        waves = np.random.default_rng(self.seed).standard_normal((3, n_cosines)) * self.bandwidth
         basis = np.empty((len(points), self.m))
         basis[:, 0] = 1.0
         basis[:, 1:4] = posed
@@ -81,3 +80,15 @@ class AmbientFourier:
         with single_threaded_blas():
             in_threads(fill, ((slice(*rows),) for rows in ranges(len(posed), _ROWS)))
         return basis
+
+    def functions(self, posed: torch.Tensor, mass: torch.Tensor) -> torch.Tensor:
+        """Return cosines and sines alone, (b, n, m - 4), at posed points (b, n, 3)."""
+        import torch
+
+        phase = posed @ torch.from_numpy(self._waves()).to(posed)
+        return torch.cat([phase.cos(), phase.sin()], dim=-1)[..., : self.m - 4]
+
+    def _waves(self) -> Floats:
+        """Return the wave vectors as columns."""
+        n_cosines = (self.m - 3) // 2
+        return np.random.default_rng(self.seed).standard_normal((3, n_cosines)) * self.bandwidth

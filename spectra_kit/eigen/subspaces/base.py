@@ -37,11 +37,6 @@ class Union:
     *parts : Subspace
         At least one.
 
-    Raises
-    ------
-    InvalidInputError
-        If there is no part.
-
     Examples
     --------
     >>> import numpy as np

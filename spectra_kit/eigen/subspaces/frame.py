@@ -65,11 +65,6 @@ def canonical_frame(points: ArrayLike, mass: ArrayLike) -> Frame:
         ``centre (3,)``, ``rotation (3, 3)`` and ``scale``: the posed cloud
         ``(points - centre) @ rotation / scale`` has largest absolute coordinate 1.
 
-    Raises
-    ------
-    InvalidInputError
-        If the arrays are malformed or all points share one location.
-
     Examples
     --------
     >>> from spectra_kit.eigen.subspaces import canonical_frame

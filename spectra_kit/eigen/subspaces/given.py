@@ -27,12 +27,6 @@ class GivenBasis(Rebuilt):
     columns : array_like of shape (n, m)
         One row for each point of the Laplacian that it will be used with, in its order.
 
-    Raises
-    ------
-    InvalidInputError
-        If `columns` is not a finite (n, m) array; when called, if there is another number of
-        points.
-
     Examples
     --------
     >>> import numpy as np
@@ -85,11 +79,6 @@ class RandomBasis:
         Number of columns.
     seed : int, default 0
         Same seed, same columns.
-
-    Raises
-    ------
-    InvalidInputError
-        If a parameter is out of range.
 
     Examples
     --------

@@ -1,6 +1,9 @@
-"""Columns of descriptors brought to one size and rid of their unit."""
+"""The descriptors by their names, and their columns brought to one size and rid of their unit."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,6 +13,20 @@ from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import real_array
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.features.gps import global_point_signature
+from spectra_kit.features.heat import heat_kernel_signature
+from spectra_kit.features.shape_dna import shape_dna
+from spectra_kit.features.wave import wave_kernel_signature
+
+#: By their names in a plan, a store, its tables and on the command line.
+DESCRIPTORS: Mapping[str, Callable[..., Floats]] = MappingProxyType(
+    {
+        "hks": heat_kernel_signature,
+        "wks": wave_kernel_signature,
+        "gps": global_point_signature,
+        "dna": shape_dna,
+    }
+)
 
 
 @checked
@@ -34,11 +51,6 @@ def normalize_descriptors(
     -------
     ndarray of shape (n, d)
         Columns with ``mass @ column**2 == area``, without a unit.
-
-    Raises
-    ------
-    InvalidInputError
-        If `descriptors` has another shape, or a column is zero (or constant, with `center`).
 
     Examples
     --------

@@ -1,10 +1,10 @@
-"""What an embedding is, and the one call that makes it of any shape."""
+"""What an embedding is, and the one call that makes it of any surface."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -13,62 +13,59 @@ from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count
 from spectra_kit.eigen import Automatic, Eigensolver, Spectrum, eigensolve
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
+from spectra_kit.features._spectra import Change, Solvable
 from spectra_kit.operators import Laplacian, laplacian
 
-#: What may be done to a surface without changing an embedding, but for discretisation.
-Change = Literal["rotation", "scale", "isometry", "sampling"]
-Shape = TriangleMesh | PointCloud | Laplacian | Spectrum
 _LEVELS = (np.arange(10) + 0.5) / 10  # of the quantiles
 
 
 @checked
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A shape, with what embeddings ask of it: made at the first time, and kept.
+    """A surface, with what embeddings ask of it: made at the first time, and kept.
 
     Parameters
     ----------
-    shape : TriangleMesh, PointCloud, Laplacian or Spectrum
+    given : TriangleMesh, PointCloud, path, Laplacian or Spectrum
         With n points.
     k : int
         Modes of its spectrum.
     solver : Eigensolver
-        Who computes them, where `shape` is not a spectrum.
+        Who computes them, where it is not given.
     """
 
-    shape: Shape
+    given: Solvable
     k: int
     solver: Eigensolver
 
     @cached_property
     def laplacian(self) -> Laplacian:
         """The operator, which a bare spectrum does not have."""
-        if isinstance(self.shape, Laplacian):
-            return self.shape
-        if isinstance(self.shape, Spectrum):
+        if isinstance(self.given, Laplacian):
+            return self.given
+        if isinstance(self.given, Spectrum):
             raise InvalidInputError(
-                "shape",
+                "surface",
                 "have points, of which this embedding is a function",
                 "a Spectrum",
                 advice="give the mesh, the cloud or its Laplacian",
             )
-        return laplacian(self.shape)
+        return laplacian(self.given)
 
     @cached_property
     def spectrum(self) -> Spectrum:
         """Its k lowest modes, in the unit of length in which the area is one."""
-        found = self.shape
+        found = self.given
         if not isinstance(found, Spectrum):
             found = eigensolve(self.laplacian, self.k, self.solver)
         if found.k < self.k:
-            raise InvalidInputError("shape", f"have k = {self.k} modes or more", found.k)
+            raise InvalidInputError("surface", f"have k = {self.k} modes or more", found.k)
         return found.truncate(self.k).rescale(found.area**-0.5)
 
     @property
     def mass(self) -> Floats:
         """Share of each point in the area, (n,)."""
-        source = self.shape if isinstance(self.shape, Spectrum) else self.laplacian
+        source = self.given if isinstance(self.given, Spectrum) else self.laplacian
         return np.asarray(source.mass / source.mass.sum())
 
 
@@ -115,7 +112,7 @@ class Pooled:
 
 @checked
 def embed(
-    shape: Shape,
+    surface: Solvable,
     embedding: Embedding,
     *,
     k: int = 64,
@@ -125,42 +122,34 @@ def embed(
 
     Parameters
     ----------
-    shape : TriangleMesh, PointCloud, Laplacian or Spectrum
+    surface : TriangleMesh, PointCloud, path, Laplacian or Spectrum
         With n points. Embeddings that are functions of the points refuse a bare spectrum.
     embedding : Embedding
-        `HeatSignature`, `WaveSignature`, `GlobalPoints`, `NeoFunctions`, `Coordinates`,
-        `PositionalEncoding`, or `PlaneWaves`.
+        `HeatKernelSignature`, `WaveKernelSignature`, `GlobalPointSignature`, `Coordinates`,
+        `PositionalEncoding`, `BasisFunctions`, or one of your own.
     k : int, default 64
         Modes that spectral ones are made of, zero modes included.
     solver : Eigensolver, default Automatic()
-        Who computes them: ``Neo()`` predicts them. Not asked where `shape` is a spectrum.
+        Who computes them: ``Neo()`` predicts them. Not asked where a spectrum is given.
 
     Returns
     -------
     ndarray of shape (n, c)
         Dimensionless: shapes are brought to unit area, or to the unit box.
 
-    Raises
-    ------
-    InvalidInputError
-        If a spectrum has fewer modes than `k`, points are asked of it, or the embedding has
-        nothing to say of single points.
-    ConvergenceError, InvalidSpectrumError, OutOfMemoryError
-        As of `eigensolve`.
-
     Examples
     --------
     >>> import spectra_kit as sk
     >>> cloud = sk.geometry.creature(800)
-    >>> sk.features.embed(cloud, sk.features.HeatSignature(count=8), k=32).shape
+    >>> sk.features.embed(cloud, sk.features.HeatKernelSignature(count=8), k=32).shape
     (800, 8)
     """
-    return finite(embedding.of_points(Surface(shape, check_count("k", k, low=1), solver)))
+    return finite(embedding.of_points(Surface(surface, check_count("k", k, low=1), solver)))
 
 
 @checked
 def embed_shape(
-    shape: Shape,
+    surface: Solvable,
     embedding: Embedding,
     *,
     k: int = 64,
@@ -170,24 +159,17 @@ def embed_shape(
 
     Parameters
     ----------
-    shape : TriangleMesh, PointCloud, Laplacian or Spectrum
+    surface : TriangleMesh, PointCloud, path, Laplacian or Spectrum
         As of `embed`.
     embedding : Embedding
         `ShapeDNA`, or one of points, whose distribution over the area is returned.
-    k : int, default 64
-        As of `embed`.
-    solver : Eigensolver, default Automatic()
+    k, solver
         As of `embed`.
 
     Returns
     -------
     ndarray of shape (c,)
         Dimensionless; the same for any order of the points.
-
-    Raises
-    ------
-    InvalidInputError, ConvergenceError, InvalidSpectrumError, OutOfMemoryError
-        As of `embed`.
 
     Examples
     --------
@@ -201,7 +183,7 @@ def embed_shape(
     >>> bool(np.linalg.norm(near) < np.linalg.norm(far))
     True
     """
-    return finite(embedding.of_all(Surface(shape, check_count("k", k, low=1), solver)))
+    return finite(embedding.of_all(Surface(surface, check_count("k", k, low=1), solver)))
 
 
 def finite(values: Floats) -> Floats:
