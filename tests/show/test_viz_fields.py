@@ -312,7 +312,8 @@ def test_comparisons_draw_zeros_of_modes_alone(tmp_path, spectrum):
     with_lines, without = (
         page(
             plot_comparison(
-                *(tmp_path / "c.png", BALL, spectrum, other, comparison),
+                *(BALL, spectrum, other, comparison),
+                path=tmp_path / "c.png",
                 modes=[2],
                 nodal_lines=lines,
                 page=Page(dpi=60),
