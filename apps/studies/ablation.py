@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -50,7 +50,7 @@ from studies.study import Study, run
 
 TINY = NeoConfig(width=64, depth=3, heads=4, head_width=16, latents=32, m=192, waves=32)
 # Name -> what it changes; trained in this order.
-VARIANTS: dict[str, dict[str, object]] = {
+VARIANTS: dict[str, dict[str, Any]] = {
     "reference": {},
     "mass-agnostic": {"mass_aware": False},
     "plain": {"waves": 0},
@@ -215,7 +215,9 @@ def solved(
     path: Path, digest: str, sampling: str, points: int, k: int
 ) -> tuple[Laplacian, Spectrum]:
     """Return operator and exact modes of a sampled mesh, whose file has this hash."""
-    density = GaussianDensity() if sampling == "crowded" else "uniform"
+    density: Literal["uniform"] | GaussianDensity = "uniform"
+    if sampling == "crowded":
+        density = GaussianDensity()
     laplacian = delaunay_laplacian(sample(shape_at(path).mesh, points, seed=0, density=density))
     return laplacian, eigensolve(laplacian, k)
 
@@ -259,7 +261,7 @@ def summary(trial: Trial, clouds: Clouds) -> Record:
     }
 
 
-def write(done: dict[str, Record], protocol: dict[str, dict], out: Path) -> None:
+def write(done: dict[str, Record], protocol: dict[str, Record], out: Path) -> None:
     """Write the tables of what is done: one for each comparison, and a row for each variant."""
     shown = {"variant": "", "parameters": ",d", "CPU minutes": ".1f"}
     shown |= {
