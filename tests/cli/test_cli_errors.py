@@ -103,7 +103,7 @@ AT_A_FACE = ("geodesic", BALL, "--face")
         ("`--boundary` must be neumann on what", ("spectrum", "cloud.ply", *DIRICHLET)),
         ("must be positive", ("spectrum", BALL, "--solver", "refined", "--rtol", "0")),
         ("got automatic; choose one of those by --solver", ("spectrum", BALL, "--rtol", "1e-4")),
-        ("got arpack and dense", ("compare", BALL, "--solver", "dense", "--rtol", "1e-4")),
+        ("got lanczos and dense", ("compare", BALL, "--solver", "dense", "--rtol", "1e-4")),
         ("must be one of", ("spectrum", BALL, "--solver", "neo", "--weights", "none")),
         ("torch can use here", ("compare", BALL, "--device", "meta", "-k", "4")),
         ("must be in [500, 5000000], got 10", ("spectrum", "demo", "--points", "10")),
