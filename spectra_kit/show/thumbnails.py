@@ -74,9 +74,9 @@ def plot_thumbnails(
     ----------
     thumbnails : sequence of Thumbnail
         At least one.
+    $path
     columns : int, default 4
         How many stand beside each other.
-    $path
     $view
     $page
 

@@ -194,7 +194,7 @@ def test_where_eigenvalues_coincide_the_means_are_those_of_spaces(files, capsys)
     three = [ball.points + [4 * i, 0, 0] for i in range(3)]
     faces = [ball.faces + i * ball.n for i in range(3)]
     write(TriangleMesh(np.vstack(three), np.vstack(faces)), files / "three.off")
-    command = ("compare", files / "three.off", "-k", 12, "--solver", "dense")
+    command = ("compare", files / "three.off", "-k", 12, "--solver", "refined")
     comparison = record(capsys, *command)["comparison"]
     assert comparison["mean_vector_error"] > 0.1
     assert comparison["mean_cluster_error"] < 1e-20
@@ -204,7 +204,7 @@ def test_where_eigenvalues_coincide_the_means_are_those_of_spaces(files, capsys)
     assert list(means) == ["span error", "eigenvalue error", "cluster error", "eigenvector error"]
     assert float(means["cluster error"]) < 1e-20
     assert "three.off: mesh, 486 vertices" in out
-    assert "exact (dense)  exact (dense)" in out
+    assert "exact (dense)  exact (refined)" in out
     assert re.search(r"mode +first +second +change", out)
     assert "errors are" not in out
     assert "predicted" not in out

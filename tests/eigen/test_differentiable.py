@@ -465,7 +465,7 @@ def test_solvers_that_look_at_points_get_them() -> None:
     matrix, diagonal = tensors(mesh)
     index = torch.tensor(np.array([matrix.row, matrix.col]), dtype=torch.int64)
     L = torch.sparse_coo_tensor(index, torch.tensor(np.array(matrix.data)), check_invariants=True)
-    solver = sk.Refined()
+    solver = sk.Refined(start=sk.AmbientFourier(m=30))
     for points in (mesh.points, leaf(mesh)):
         values = eigenvalues(L, torch.tensor(diagonal), 5, points=points, solver=solver)
         expected = sk.eigensolve(laplacian, 5, solver).eigenvalues

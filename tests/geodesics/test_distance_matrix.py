@@ -97,7 +97,7 @@ def test_all_points_of_a_sphere_are_an_angle_apart() -> None:
 
 @coarse
 def test_the_mean_of_both_directions_is_nearer_to_exact_distances() -> None:
-    mesh = creature(500)
+    mesh = creature(600)
     truth = np.array([exact_distances(mesh, i) for i in range(0, mesh.n, 40)])
     one_way = distance_matrix(mesh, dtype="float64", symmetric=False)
     mean = distance_matrix(mesh, dtype="float64")

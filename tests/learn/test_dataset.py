@@ -394,7 +394,7 @@ PEER = Path(os.environ.get("SPECTRA_KIT_DATA", ".")).parent / "peers" / "diffusi
 def published():
     if not (PEER / "diffusion_net").is_dir():
         pytest.skip(f"no {PEER}")
-    from studies.learning.published import Published
+    from studies.learning.diffusion_net import Published
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # theirs

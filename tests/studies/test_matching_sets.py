@@ -67,7 +67,7 @@ def test_sets_that_are_not_there(data, monkeypatch):
 
 @pytest.fixture(scope="module")
 def animal():
-    mesh = creature(1000)
+    mesh = creature(1500)
     return Subject(
         "animal", mesh, np.arange(0, mesh.n, 3), np.arange(1, mesh.n, 3)[: -(-mesh.n // 3)]
     )

@@ -251,7 +251,8 @@ def _broken(setting: Setting) -> Facts:
 def _memory(setting: Setting) -> Facts:
     """Follow the memory of all processes of a run over meshes of very different size."""
     store, peak, highest = setting.store("memory"), 0, 0
-    process = setting.begin(store, *setting.shared, "--memory-limit", setting.memory_limit)
+    limit = ("--memory-limit", setting.memory_limit) * bool(setting.workers)
+    process = setting.begin(store, *setting.shared, *limit)
     start = time.perf_counter()
     while process.poll() is None:
         sizes = _memory_of(process.pid)

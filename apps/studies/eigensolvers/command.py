@@ -210,10 +210,8 @@ def _groups(rows: Sequence[Row]) -> dict[str, list[Row]]:
         for name in names:
             groups.setdefault(name, []).append(row)
     first = ("all", "held back", "for tuning", *KINDS)
-    return {
-        name: groups[name] for name in (*first, *sorted({*groups} - {*first}, key=_size))
-        if name in groups
-    }  # fmt: skip
+    others = sorted(groups.keys() - {*first}, key=lambda name: (_size(name), name))
+    return {name: groups[name] for name in (*first, *others) if name in groups}
 
 
 _OVER = {

@@ -1,5 +1,5 @@
 /* Built from spectra_kit/explorer/web: do not edit.
-sources sha256: ac03379e7e88963cb171f3dd2cad16d8a82b1ebaf05acb8666b8332af19296fd
+sources sha256: e2133ff844d798689106ef71b18118517c81f00b31b28523431b285a7d298e37
 
 Contains three.js (https://threejs.org):
 
