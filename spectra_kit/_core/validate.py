@@ -8,13 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# Here as well until every room takes these from their homes.
-from spectra_kit._core.records import Brief as Brief
-from spectra_kit._core.records import Rebuilt as Rebuilt
-from spectra_kit._core.records import frozen as frozen
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.warn import hearing as hearing
-from spectra_kit._core.warn import warn as warn
 from spectra_kit.errors import InvalidInputError
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from spectra_kit._core.records import frozen
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import frozen
 from spectra_kit.errors import InvalidInputError
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from scipy import sparse
 
+from spectra_kit._core.records import frozen
 from spectra_kit._core.threads import in_threads, shares
-from spectra_kit._core.validate import frozen
 from spectra_kit.errors import InvalidInputError
 
 _SMALL = 200_000  # multiplications below which a thread costs more than it saves

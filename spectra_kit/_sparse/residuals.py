@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from spectra_kit._core.records import frozen
 from spectra_kit._core.threads import in_threads, ranges
 from spectra_kit._core.types import Floats, Singles
-from spectra_kit._core.validate import frozen
 
 _ROWS = 8_192  # of one task: fixed, so that no sum depends on the threads
 

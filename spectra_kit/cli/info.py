@@ -4,7 +4,7 @@ import dataclasses
 from contextlib import nullcontext
 from dataclasses import dataclass
 
-from spectra_kit._core.validate import hearing
+from spectra_kit._core.warn import hearing
 from spectra_kit.cli import tables
 from spectra_kit.cli.inputs import assemble, load
 from spectra_kit.cli.options import OnOne, OperatorName

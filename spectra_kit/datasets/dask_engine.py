@@ -16,7 +16,8 @@ from typing import Any
 from spectra_kit._core.checked import checked
 from spectra_kit._core.optional import optional
 from spectra_kit._core.threads import single_threaded, usable_cores
-from spectra_kit._core.validate import check_count, warn
+from spectra_kit._core.validate import check_count
+from spectra_kit._core.warn import warn
 from spectra_kit._sparse.memory import memory_of
 from spectra_kit.datasets.run import Task, in_this_process
 from spectra_kit.eigen import eigensolve

@@ -16,8 +16,8 @@ from spectra_kit._core.arrays_file import read_arrays, write_arrays
 from spectra_kit._core.checked import checked
 from spectra_kit._core.files import atomic_path, parsing
 from spectra_kit._core.fingerprint import BLANK, facts_digest, has_seal, sealed
-from spectra_kit._core.validate import warn
 from spectra_kit._core.version import VERSION
+from spectra_kit._core.warn import warn
 from spectra_kit.errors import (
     DamagedEntryWarning,
     InvalidFileError,

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from spectra_kit._core.checked import checked
 from spectra_kit._core.fingerprint import facts_digest
 from spectra_kit._core.threads import single_threaded_blas
-from spectra_kit._core.validate import check_count, hearing
+from spectra_kit._core.validate import check_count
+from spectra_kit._core.warn import hearing
 from spectra_kit.datasets.files import MapRecord, ShapeRecord, damage
 from spectra_kit.datasets.inputs import Pair, records_of, refuse_twice
 from spectra_kit.datasets.plan import Plan

@@ -14,8 +14,8 @@ from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar, runtime
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
+from spectra_kit._core.records import Brief
 from spectra_kit._core.threads import usable_cores
-from spectra_kit._core.validate import Brief
 from spectra_kit.datasets.files import MapRecord, ShapeRecord
 from spectra_kit.datasets.inputs import Input, Named, Pair
 from spectra_kit.datasets.store import SpectrumStore

@@ -15,7 +15,8 @@ from typing import Any
 from spectra_kit._core.checked import checked
 from spectra_kit._core.fingerprint import shape_digest
 from spectra_kit._core.threads import ranges, single_threaded_blas, thread_count
-from spectra_kit._core.validate import hearing, quantity, warn
+from spectra_kit._core.validate import quantity
+from spectra_kit._core.warn import hearing, warn
 from spectra_kit._sparse.memory import memory_limit
 from spectra_kit.datasets.files import ShapeRecord, remove, warn_of_damage
 from spectra_kit.datasets.inputs import Input, refuse_twice

@@ -11,7 +11,8 @@ from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._core.threads import blas_threads_for
 from spectra_kit._core.types import Floats
-from spectra_kit._core.validate import quantity, warn
+from spectra_kit._core.validate import quantity
+from spectra_kit._core.warn import warn
 from spectra_kit._sparse import SparseLDL
 from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit._sparse.products import spmm

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Rebuilt, frozen
 from spectra_kit._core.types import Floats
-from spectra_kit._core.validate import Rebuilt, check_count, frozen, quantity, real_array
+from spectra_kit._core.validate import check_count, quantity, real_array
 from spectra_kit.errors import InvalidInputError
 
 

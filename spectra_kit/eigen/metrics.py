@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Brief, frozen
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import Brief, check_count, check_mass, frozen
+from spectra_kit._core.validate import check_count, check_mass
 from spectra_kit._sparse.orthonormal import orthonormalize
 from spectra_kit.eigen.spectrum import Spectrum
 from spectra_kit.eigen.subspaces.base import Subspace

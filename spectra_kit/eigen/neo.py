@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.validate import Rebuilt
+from spectra_kit._core.records import Rebuilt
 from spectra_kit._sparse.blocks import device_memory
 from spectra_kit.eigen.base import Eigenpairs, Promise
 from spectra_kit.eigen.cascade import Cascade

@@ -14,10 +14,11 @@ from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.files import parsing
+from spectra_kit._core.records import Rebuilt, frozen
 from spectra_kit._core.shown import draw
 from spectra_kit._core.threads import blas_threads_for
 from spectra_kit._core.types import Floats
-from spectra_kit._core.validate import Rebuilt, check_count, check_positive, frozen, quantity
+from spectra_kit._core.validate import check_count, check_positive, quantity
 from spectra_kit._sparse.host import gram
 from spectra_kit._sparse.residuals import residual_norms
 from spectra_kit.eigen.certificate import Certificate, ModeCount, Provenance

@@ -14,8 +14,9 @@ from torch import Tensor
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.fingerprint import facts_digest, shape_digest
+from spectra_kit._core.records import Brief
 from spectra_kit._core.types import Floats
-from spectra_kit._core.validate import Brief, check_count
+from spectra_kit._core.validate import check_count
 from spectra_kit._core.version import VERSION
 from spectra_kit.errors import InvalidInputError, SpectraKitError
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh, read

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from spectra_kit._core.arrays_file import read_arrays, write_arrays
 from spectra_kit._core.checked import checked
 from spectra_kit._core.fingerprint import arrays_digest, facts_digest
+from spectra_kit._core.records import Brief, Rebuilt
 from spectra_kit._core.threads import single_threaded_blas
 from spectra_kit._core.types import Floats
-from spectra_kit._core.validate import Brief, Rebuilt, check_count, hearing
+from spectra_kit._core.validate import check_count
 from spectra_kit._core.version import VERSION
+from spectra_kit._core.warn import hearing
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.features import shape_dna, shape_dna_distances
 from spectra_kit.maps.match import matched, matched_from

@@ -9,15 +9,10 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.threads import in_threads, ranges
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import (
-    Rebuilt,
-    check_count,
-    check_faces,
-    check_indices,
-    real_array,
-)
+from spectra_kit._core.validate import check_count, check_faces, check_indices, real_array
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.maps.nearest import nearest

@@ -13,15 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Rebuilt, frozen
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import (
-    Rebuilt,
     check_faces,
     check_indices,
     check_mass,
     check_points,
     check_positive,
-    frozen,
     real_array,
 )
 from spectra_kit.eigen import Spectrum

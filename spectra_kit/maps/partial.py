@@ -26,7 +26,8 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from spectra_kit._core.checked import checked
 from spectra_kit._core.threads import in_threads, single_threaded_blas
 from spectra_kit._core.types import Bools, Floats, Ints
-from spectra_kit._core.validate import check_count, warn
+from spectra_kit._core.validate import check_count
+from spectra_kit._core.warn import warn
 from spectra_kit._sparse.ritz import ritz_pairs
 from spectra_kit.eigen import Spectrum, spectrum
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.threads import blas_threads_for, single_threaded_blas
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import Rebuilt, check_count
+from spectra_kit._core.validate import check_count
 from spectra_kit.eigen import Spectrum
 from spectra_kit.eigen import spectrum as solved
 from spectra_kit.errors import InvalidInputError

@@ -9,15 +9,10 @@ import numpy as np
 from scipy import sparse
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Bools, Floats, Ints
-from spectra_kit._core.validate import (
-    Rebuilt,
-    check_count,
-    check_weights,
-    quantity,
-    real_array,
-    warn,
-)
+from spectra_kit._core.validate import check_count, check_weights, quantity, real_array
+from spectra_kit._core.warn import warn
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.maps import calibration
 

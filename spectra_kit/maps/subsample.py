@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import Rebuilt, quantity
+from spectra_kit._core.validate import quantity
 from spectra_kit._sparse.products import rows_of
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError

@@ -16,8 +16,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import Rebuilt
 from spectra_kit.eigen import Spectrum
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.operators.oriented import OrientedTriangles

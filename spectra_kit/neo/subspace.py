@@ -14,7 +14,8 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.validate import Rebuilt, check_count, check_mass, check_points
+from spectra_kit._core.records import Rebuilt
+from spectra_kit._core.validate import check_count, check_mass, check_points
 from spectra_kit._sparse.torch_device import check_device, torch_threads
 from spectra_kit.eigen.subspaces.frame import POSES, Frame, canonical_frame
 from spectra_kit.errors import InvalidInputError

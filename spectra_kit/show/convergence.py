@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Brief, frozen
 from spectra_kit._core.types import Floats
-from spectra_kit._core.validate import Brief, check_positive, frozen, real_array
+from spectra_kit._core.validate import check_positive, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.show.layout import LINE_COLOURS, Page, line_style, new_figure, short, tidy
 from spectra_kit.show.picture import PathLike, plotted

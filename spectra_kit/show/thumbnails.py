@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Brief
 from spectra_kit._core.types import Bytes
-from spectra_kit._core.validate import Brief, check_count, check_indices
+from spectra_kit._core.validate import check_count, check_indices
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.show.camera import View, fitting_size

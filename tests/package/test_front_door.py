@@ -50,8 +50,8 @@ def taking_geometries() -> list[tuple[str, str]]:
         hints = typing.get_type_hints(inspect.unwrap(function), localns=_LATE)
         hints.pop("return", None)
         for argument, hint in hints.items():
-            if any(kind in typing.get_args(hint) for kind in (Spectrum, sk.Prepared)):  # a geometry in its place costs a solve
-                continue
+            if any(kind in typing.get_args(hint) for kind in (Spectrum, sk.Prepared)):
+                continue  # a geometry in its place costs a solve
             if any(kind in (TriangleMesh, PointCloud) for kind in (hint, *typing.get_args(hint))):
                 found.append((name, argument))
     return found

@@ -7,8 +7,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from spectra_kit._core.records import frozen
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import frozen
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import pair_distances

@@ -11,8 +11,9 @@ import numpy as np
 
 from spectra_kit._core.files import parsing
 from spectra_kit._core.fingerprint import arrays_digest
+from spectra_kit._core.records import Rebuilt, frozen
 from spectra_kit._core.types import Ints
-from spectra_kit._core.validate import Rebuilt, check_count, check_indices, frozen
+from spectra_kit._core.validate import check_count, check_indices
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, creature
 from spectra_kit.maps import Truth

@@ -9,9 +9,10 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
+from spectra_kit._core.records import Brief, frozen
 from spectra_kit._core.threads import in_threads, shares
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import Brief, check_count, frozen
+from spectra_kit._core.validate import check_count
 from spectra_kit._sparse.products import rows_of
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.operators.laplacian import Laplacian

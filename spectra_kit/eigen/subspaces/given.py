@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Rebuilt, frozen
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import Rebuilt, check_count, check_indices, frozen, real_array
+from spectra_kit._core.validate import check_count, check_indices, real_array
 from spectra_kit.errors import InvalidInputError
 
 Solver = TypeVar("Solver")

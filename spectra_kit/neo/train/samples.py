@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from spectra_kit._core.types import Floats
-from spectra_kit._core.validate import check_count, hearing
+from spectra_kit._core.validate import check_count
+from spectra_kit._core.warn import hearing
 from spectra_kit.eigen.base import NotConvergedError
 from spectra_kit.eigen.lanczos import cheapest
 from spectra_kit.errors import ConvergenceError, InvalidInputError
