@@ -19,16 +19,9 @@ _SEMI = 1e-12  # the same, at most: residuals of Ritz pairs are no smaller than 
 
 
 class KrylovPairs(NamedTuple):
-    """Ritz pairs of a Krylov space.
+    """Ritz pairs of a Krylov space: m values, ascending, and the norms of ``A x - value x``.
 
-    Attributes
-    ----------
-    values : ndarray of shape (m,)
-        Ascending.
-    residuals : ndarray of shape (m,)
-        Norms of ``A x - value x``.
-    rotation : ndarray of shape (m, m)
-        From the basis to their vectors.
+    `rotation`, of shape (m, m), leads from the basis to their vectors.
     """
 
     values: Floats
@@ -39,22 +32,10 @@ class KrylovPairs(NamedTuple):
 class BlockLanczos:
     """Krylov space of a symmetric operator and a few random vectors.
 
-    Parameters
-    ----------
-    operator : callable
-        A, from columns of shape (n, block) to the same.
-    n : int
-        Entries of a vector.
-    block : int
-        Vectors of a step. Eigenvalues of so many copies are found with all of them.
-    most : int
-        Vectors of the space at most, which are allocated at once: whole steps, and one block less
-        than n.
-    seed : int
-        Of the first block.
+    The `operator` takes columns of shape (n, block) to the same. Eigenvalues of up to `block`
+    copies are found with all of them. `most` vectors are allocated at once: whole steps, and one
+    block less than n.
 
-    Notes
-    -----
     Golub and Underwood, *The block Lanczos method for computing eigenvalues*, 1977. In exact
     arithmetic a block is orthogonal to all but the two before it. What rounding leaves of the
     others grows in each step by the norm of the operator over that of the new block at most: before
@@ -62,17 +43,6 @@ class BlockLanczos:
     look at these instead of two (Grimes, Lewis and Simon, *A shifted block Lanczos algorithm*,
     1994). Vectors are rows here, whose products with a block are twice as fast; no bit of a sum
     depends on the number of threads.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from spectra_kit._sparse.block_lanczos import BlockLanczos
-    >>> diagonal = np.arange(1000.0)[:, None] ** 2
-    >>> krylov = BlockLanczos(lambda X: diagonal * X, 1000, block=4, most=200, seed=0)
-    >>> while krylov.size < 200:
-    ...     krylov.step()
-    >>> krylov.ritz().values[-2:].round(6)
-    array([996004., 998001.])
     """
 
     def __init__(

@@ -72,76 +72,23 @@ _WIDE = 32  # modes from which a range of rows is worth a thread
 
 @runtime_checkable
 class Preconditioner(Protocol):
-    """Anything that applies a fixed symmetric positive (semi-)definite matrix near ``A^-1``.
-
-    Examples
-    --------
-    One's own, the inverse of the diagonal:
-
-    >>> from scipy import sparse
-    >>> from spectra_kit._sparse import pcg
-    >>> class Jacobi:
-    ...     def __init__(self, matrix):
-    ...         self.diagonal = matrix.diagonal()
-    ...
-    ...     def solve(self, rhs):
-    ...         return rhs / self.diagonal
-    >>> matrix = sparse.csr_array([[1.0, 0.0], [0.0, 100.0]])
-    >>> pcg(matrix, [1.0, 1.0], preconditioner=Jacobi(matrix)).iterations
-    1
-    """
+    """Anything that applies a fixed symmetric positive (semi-)definite matrix near ``A^-1``."""
 
     def solve(self, rhs: Floats) -> Floats:
-        """Apply it.
-
-        Parameters
-        ----------
-        rhs : ndarray of shape (n,)
-            Not to be written to.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            A new array.
-        """
+        """Return the product with `rhs` (n,), which is not written to, as a new array."""
 
 
 class CoarseSpace:
     """``Q = Y E^-1 Y^T`` with ``E = Y^T A Y``: the exact solution of a system within span(Y).
 
-    Parameters
-    ----------
-    basis : array_like of shape (n, k)
-        Y, of any units. Not the kernel of A: pass ``spectrum.nonzero().eigenvectors``.
-    energies : array_like of shape (k,), optional
-        The diagonal of E where it has no other entries, as for Ritz vectors: their eigenvalues.
-    matrix : sparse array of shape (n, n), optional
-        A, for any other basis: E is then computed. Directions that depend on others to rounding,
-        and those in the kernel of A, are dropped.
-    dtype : {float32, float64}
-        What Y is stored in and multiplied with. Reading Y is what an application costs; rounded
-        to float32 it spans almost the same space, and convergence does not notice.
+    Y is the `basis` of shape (n, k), of any units, without the kernel of A: pass
+    ``spectrum.nonzero().eigenvectors``. Either `energies` are the diagonal of E, where it has no
+    other entries, as for Ritz vectors (their eigenvalues); or E is computed from the `matrix` A,
+    and directions that depend on others to rounding, and those in the kernel of A, are dropped: so
+    `dimension` is at most k.
 
-    Attributes
-    ----------
-    n : int
-        Number of points.
-    dimension : int
-        Of the space that is left, at most k.
-    seconds : float
-        Time the preparation took.
-
-    Examples
-    --------
-    On the path below, Y spans an eigenspace, in which Q inverts A:
-
-    >>> import numpy as np
-    >>> from scipy import sparse
-    >>> from spectra_kit._sparse import CoarseSpace
-    >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
-    >>> coarse = CoarseSpace(np.array([[1.0], [0.0], [-1.0]]), matrix=path)
-    >>> coarse.solve(path @ np.array([5.0, 0.0, -5.0]))
-    array([ 5., 0., -5.])
+    Reading Y is what an application costs; rounded to float32 it spans almost the same space, and
+    convergence does not notice.
     """
 
     def __init__(
@@ -218,36 +165,9 @@ def _prolong(
 class AdditiveTwoLevel:
     """``M^-1 + Y E^-1 Y^T``: a base preconditioner and a coarse space, added.
 
-    Parameters
-    ----------
-    base : Preconditioner
-        M^-1, such as an `IncompleteCholesky`.
-    coarse : CoarseSpace
-        ``Q = Y E^-1 Y^T``.
-
-    Attributes
-    ----------
-    seconds : float
-        Time that the preparation of both took.
-
-    Notes
-    -----
     Algorithm 2 of the NEO paper is `pcg` with this preconditioner, started from
     ``coarse.solve(b)``. A low mode, of which M^-1 sees little, has an eigenvalue near one in this
     operator. Base and coarse part run side by side.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from scipy import sparse
-    >>> from spectra_kit._sparse import AdditiveTwoLevel, CoarseSpace, IncompleteCholesky
-    >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
-    >>> coarse = CoarseSpace(np.array([[1.0], [0.0], [-1.0]]), energies=[2.0])
-    >>> base = IncompleteCholesky(path, reorder=False)
-    >>> base.solve(np.array([1.0, 0.0, -1.0]))
-    array([2., 1., 0.])
-    >>> AdditiveTwoLevel(base, coarse).solve(np.array([1.0, 0.0, -1.0]))
-    array([ 3., 1., -1.])
     """
 
     def __init__(self, base: Preconditioner, coarse: CoarseSpace) -> None:
@@ -272,38 +192,13 @@ class AdditiveTwoLevel:
 class ProjectedTwoLevel:
     """``(I - Q A) M^-1 + Q`` with ``Q = Y E^-1 Y^T``: deflation that corrects itself.
 
-    Parameters
-    ----------
-    base : Preconditioner
-        M^-1.
-    coarse : CoarseSpace
-        Q, with the energies in `matrix`, or made from it.
-    matrix : sparse array of shape (n, n)
-        A.
+    The energies of `coarse`, which is Q, must be those in `matrix`, which is A.
 
-    Attributes
-    ----------
-    seconds : float
-        Time that the preparation of both took.
-
-    Notes
-    -----
     A-DEF2 of Tang, Nabben, Vuik & Erlangga (*J. Sci. Comput.* 39, 2009). It acts as the symmetric
     balancing preconditioner on residuals without a component in span(Y), which is what `correct`
     makes of the first one, and CG keeps of the rest; ``+ Q`` removes what rounding brings back,
     so that an inexact Q does no harm, other than in plain deflation. One product with A more
     than `AdditiveTwoLevel`, and one part after the other.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from scipy import sparse
-    >>> from spectra_kit._sparse import CoarseSpace, IncompleteCholesky, ProjectedTwoLevel, pcg
-    >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
-    >>> coarse = CoarseSpace(np.array([[1.0], [0.0], [-1.0]]), matrix=path)
-    >>> projected = ProjectedTwoLevel(IncompleteCholesky(path), coarse, path)
-    >>> pcg(path, np.array([1.0, 0.0, -1.0]), preconditioner=projected).x
-    array([ 1., 0., -1.])
     """
 
     def __init__(self, base: Preconditioner, coarse: CoarseSpace, matrix: sparse.csr_array) -> None:

@@ -45,38 +45,14 @@ def pcg(
 ) -> LinearSolution:
     """Solve ``A x = b`` by conjugate gradients, until ``||b - A x|| <= max(rtol ||b||, atol)``.
 
-    Parameters
-    ----------
-    matrix : sparse array of shape (n, n)
-        A, symmetric positive semi-definite. Symmetry is taken on trust, and looked at where the
-        tolerance is not reached; the residual at the end is not.
-    rhs : array_like of shape (n,)
-        b, in the range of A.
-    preconditioner : Preconditioner, optional
-        Plain conjugate gradients without it.
-    start : array_like of shape (n,), optional
-        First guess; zero without it. The tolerance does not depend on it.
-    kernel : ConstantKernel, optional
-        The kernel of A, if it has one. The solution has mean zero on each of its components, and
-        no iterate grows in its direction.
-    rtol, atol : float
-        Relative and absolute tolerance on the 2-norm of the residual.
-    max_iterations : int, optional
-        10 n without it, at most 10,000.
-    progress : callable, optional
-        Called after each iteration with its number and ``||b - A x|| / ||b||``.
-    throw : bool, default True
-        Raise if the tolerance is not reached; without it, the solution is returned as it is, with
-        ``converged=False``.
+    A, of shape (n, n), is symmetric positive semi-definite, and b (n,) in its range. Symmetry is
+    taken on trust, and looked at where the tolerance is not reached; the residual at the end is
+    not: the last one is computed from x. The tolerance does not depend on the `start`. Iterations
+    are at most 10 n and 10,000 by default; after each, `progress` is called with its number and
+    ``||b - A x|| / ||b||``. Without `throw`, a solution short of the tolerance is returned too.
 
-    Returns
-    -------
-    LinearSolution
-        The last of its residuals is computed from x; the tolerance holds for that one.
-
-    Notes
-    -----
-    Algorithm 1 of the NEO paper is this with `IncompleteCholesky`; its Algorithm 2 with
+    Where A has a `kernel`, x has mean zero on each of its components, and no iterate grows in its
+    direction. Algorithm 1 of the NEO paper is this with `IncompleteCholesky`; its Algorithm 2 with
     `AdditiveTwoLevel` and ``start=coarse.solve(rhs)``. They differ from the paper in their
     treatment of the kernel: no point is held at zero, which would raise the condition number.
 

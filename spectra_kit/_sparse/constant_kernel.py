@@ -13,19 +13,8 @@ from spectra_kit.errors import InvalidInputError
 class ConstantKernel:
     """The kernel of a Neumann Laplacian, spanned by the indicator functions of its components.
 
-    Parameters
-    ----------
-    labels : array_like of shape (n,)
-        Component of each point, counted from 0. Points labelled -1 are in no component of the
-        kernel: a fixed point holds theirs down.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from spectra_kit._sparse import ConstantKernel
-    >>> kernel = ConstantKernel([0, 0, 1, 1, -1])
-    >>> kernel.remove(np.array([1.0, 3.0, 5.0, 5.0, 7.0]))
-    array([-1.,  1.,  0.,  0.,  7.])
+    `labels` count the components of the points, (n,), from 0. Points labelled -1 are in no
+    component of the kernel: a fixed point holds theirs down.
     """
 
     def __init__(self, labels: ArrayLike) -> None:

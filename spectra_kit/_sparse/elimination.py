@@ -17,21 +17,9 @@ _HUB, _FEWEST = 10.0, 16
 
 
 def minimum_degree(matrix: sparse.csr_array) -> NDArray[np.int32]:
-    """Order points so that eliminating them one by one fills in little.
+    """Return the points of a symmetric pattern in an order of elimination that fills in little.
 
-    Parameters
-    ----------
-    matrix : sparse array of shape (n, n)
-        Symmetric; its pattern is the graph. 32-bit indices.
-
-    Returns
-    -------
-    ndarray of shape (n,), int32
-        The points, first eliminated first.
-
-    Notes
-    -----
-    Always one with about the fewest neighbours that are left (Amestoy, Davis and Duff, *An
+    Next is always one with about the fewest neighbours that are left (Amestoy, Davis and Duff, *An
     Approximate Minimum Degree Ordering Algorithm*, SIAM J. Matrix Anal. Appl. 17, 1996). Where
     triangles are of one size, nested dissection needs a third fewer operations; where they are not,
     or there are many parts, up to three times as many.
@@ -58,16 +46,6 @@ class Elimination:
     the same rows below them, ``rows[first[s]:first[s + 1]]``, counted in that order; ``above[s]``
     is the run whose columns these begin with, and the factor holds run s from ``panels[s]`` on.
     `sizes` are those of memory that the numbers need while they are made.
-
-    Examples
-    --------
-    >>> from scipy import sparse
-    >>> from spectra_kit._sparse import SparseLDL
-    >>> from spectra_kit._sparse.elimination import Elimination
-    >>> A = sparse.diags_array([-1.0, 3.0, -1.0], offsets=[-1, 0, 1], shape=(9, 9), format="csr")
-    >>> shared = Elimination.of(A)
-    >>> [SparseLDL(matrix, elimination=shared).n for matrix in (A, 2 * A)]
-    [9, 9]
     """
 
     starts: NDArray[np.int32]
@@ -82,18 +60,7 @@ class Elimination:
 
     @staticmethod
     def of(matrix: sparse.csr_array) -> Elimination:
-        """Find an order for the pattern of a symmetric matrix, and what follows from it.
-
-        Parameters
-        ----------
-        matrix : sparse array of shape (n, n)
-            Both triangles stored.
-
-        Returns
-        -------
-        Elimination
-            For all matrices of that pattern.
-        """
+        """Find an order for a symmetric pattern, stored whole, and what follows from it."""
         A = symmetric(matrix)
         if A.nnz > _MAX_ENTRIES:
             raise InvalidInputError("matrix", f"have at most {_MAX_ENTRIES} entries", A.nnz)

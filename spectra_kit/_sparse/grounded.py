@@ -24,35 +24,12 @@ _ACCURATE = 1e-7  # relative residual up to which a direct solution is one
 class GroundedCholesky:
     """A Cholesky factor of a Laplacian with constant kernel, for any number of right-hand sides.
 
-    Parameters
-    ----------
-    matrix : sparse array of shape (n, n)
-        Symmetric positive semi-definite; both triangles stored.
-    kernel : ConstantKernel, optional
-        The kernel of `matrix`. Without it `matrix` is factorised as it is.
-    elimination : Elimination, optional
-        Of a matrix with the same pattern, as for `SparseLDL`.
+    Both triangles of the `matrix` are stored; without a `kernel` it is factorised as it is.
 
-    Attributes
-    ----------
-    seconds : float
-        Time the factor took.
-
-    Notes
-    -----
     The solution is determined up to a constant on each component of the kernel. The factor fixes
     that by clearing the row and column of one of its points off the diagonal, where the value is
     then zero: as a right-hand side in the range sums to zero, the equation that was dropped holds
     too. Each constant is moved to mean zero afterwards.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from scipy import sparse
-    >>> from spectra_kit._sparse import ConstantKernel, GroundedCholesky
-    >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
-    >>> GroundedCholesky(path, ConstantKernel([0, 0, 0])).solve(np.array([1.0, 0.0, -1.0]))
-    array([ 1.,  0., -1.])
     """
 
     def __init__(
@@ -76,48 +53,18 @@ class GroundedCholesky:
         self.seconds = clock.total
 
     def solve(self, rhs: ArrayLike) -> Floats:
-        """Solve ``matrix @ x = rhs``.
-
-        Parameters
-        ----------
-        rhs : array_like of shape (n,)
-            In the range of `matrix`.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            x, with mean zero on each component of the kernel.
-        """
+        """Return x, of mean zero on each component; `rhs` (n,) is in the range of the matrix."""
         return self.solution(rhs).x
 
     def solution(self, rhs: ArrayLike) -> LinearSolution:
-        """Solve, and say how well and how fast.
-
-        Parameters
-        ----------
-        rhs : array_like of shape (n,)
-            As for `solve`, which says what is refused.
-
-        Returns
-        -------
-        LinearSolution
-            Of no iterations and one residual.
-        """
+        """Solve, and say how well and how fast; of no iterations and one residual."""
         return self.solutions([rhs])[0]
 
     def solutions(self, sides: Sequence[ArrayLike]) -> list[LinearSolution]:
         """Solve for several right-hand sides at once, which takes less time than one by one.
 
-        Parameters
-        ----------
-        sides : sequence of array_like of shape (n,)
-            Each as for `solve`, which says what is refused.
-
-        Returns
-        -------
-        list of LinearSolution
-            Bit by bit what `solution` returns for each of them, but for the seconds: what they took
-            together is shared out evenly.
+        Bit by bit what `solution` returns for each of them, but for the seconds: what they took
+        together is shared out evenly.
         """
         if not sides:
             return []

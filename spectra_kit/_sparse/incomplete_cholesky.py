@@ -22,62 +22,28 @@ _FAR = 0.05  # share of n by which neighbours are apart, on average, in an untid
 class IncompleteCholesky:
     """``A ~ P (I + L) D (I + L)^T P^T`` with a sparse L: an approximation that is quick to invert.
 
-    Parameters
-    ----------
-    matrix : sparse array of shape (n, n)
-        A, symmetric positive semi-definite; only one triangle is read.
-    drop : float, optional
-        Without it L has the pattern of A, which is level 0, the incomplete Cholesky factor of
-        textbooks. With it, an entry (of ``L D``) is kept where it exceeds `drop` times the norm of
-        its column of A, be it fill or, as weak ones may drop out too, where A has an entry; with
-        0, everything is kept: a complete factor.
-    relaxation : float, default 0.0
-        Share in [0, 1] of every dropped entry that is taken from the diagonals of its row and
-        column. With 1 the factor is exact on constants (Gustafsson's modified factor, whose
-        condition grows with 1 / h in place of 1 / h^2, and which is singular if A is); a little
-        less is safer.
-    reorder : bool, optional
-        Eliminate in the order of reverse Cuthill-McKee, or in the order given. By default the
-        former where neighbours are far apart, as in a shuffled mesh: they cost it twice the
-        iterations.
-    dtype : {float64, float32}
-        What the factor is stored in. It is computed, and applied, in float64.
+    Of A, symmetric positive semi-definite, one triangle is read. Without `drop`, L has its pattern:
+    that is level 0, the incomplete Cholesky factor of textbooks. With it, an entry (of ``L D``) is
+    kept where it exceeds `drop` times the norm of its column of A, be it fill or, as weak ones may
+    drop out too, where A has an entry; with 0, everything is kept: a complete factor.
 
-    Attributes
-    ----------
-    n : int
-        Size of the matrix.
-    shift : float
-        The factor is that of ``A + shift * diag(A)``; 0 unless a pivot was not positive.
-    seconds : float
-        Time the factor took.
+    `relaxation` is the share in [0, 1] of every dropped entry that is taken from the diagonals of
+    its row and column. With 1 the factor is exact on constants (Gustafsson's modified factor, whose
+    condition grows with 1 / h in place of 1 / h^2, and which is singular if A is); a little less is
+    safer. Unless `reorder` says, points are eliminated in the order of reverse Cuthill-McKee where
+    neighbours are far apart, as in a shuffled mesh: they cost the given order twice the iterations.
+    The factor is computed and applied in float64, whatever it is stored in.
 
-    Notes
-    -----
     A factor always exists for M-matrices (Meijerink & van der Vorst, *Math. Comp.* 31, 1977), so
     for every intrinsic Delaunay Laplacian. Elsewhere, as for cotangents of obtuse triangles, a
     pivot may come out zero or negative; then the diagonal is raised by 1e-3 of itself, and by four
-    times as much again until it works (Manteuffel, *Math. Comp.* 34, 1980). A pivot that is zero
-    to rounding with nothing below it is none of these: it ends a component of a singular matrix,
-    whose last unknown is then held at zero.
+    times as much again until it works (Manteuffel, *Math. Comp.* 34, 1980): the factor is that of
+    ``A + shift * diag(A)``. A pivot that is zero to rounding with nothing below it is none of
+    these: it ends a component of a singular matrix, whose last unknown is then held at zero.
 
     The threshold factor is ICT(tau) (Saad, *Iterative Methods for Sparse Linear Systems*,
     2003, section 10.8); relaxation after Gustafsson (*BIT* 18, 1978) and Axelsson & Lindskog
     (*Numer. Math.* 48, 1986). Both sweeps read rows, each from its own copy of L.
-
-    Examples
-    --------
-    On a path nothing fills in, so that level 0 is exact:
-
-    >>> import numpy as np
-    >>> from scipy import sparse
-    >>> from spectra_kit._sparse import IncompleteCholesky
-    >>> path = sparse.csr_array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
-    >>> factor = IncompleteCholesky(path)
-    >>> factor
-    IncompleteCholesky(n=3, level 0, fill=2)
-    >>> factor.solve(np.array([0.0, 4.0, 0.0]))
-    array([2., 4., 2.])
     """
 
     def __init__(
@@ -131,18 +97,7 @@ class IncompleteCholesky:
         return self._entries
 
     def solve(self, rhs: Floats) -> Floats:
-        """Apply the inverse of the factor.
-
-        Parameters
-        ----------
-        rhs : ndarray of shape (n,)
-            Any.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            The x of ``P (I + L) D (I + L)^T P^T x = rhs``.
-        """
+        """Return the x (n,) of ``P (I + L) D (I + L)^T P^T x = rhs``."""
         from spectra_kit._sparse._incomplete_kernels import solve_factor
 
         out, work = np.empty(self.n), np.empty(self.n)

@@ -30,48 +30,16 @@ class Inertia(NamedTuple):
 class SparseLDL:
     """``A = P (I + L) D (I + L)^T P^T``, computed once, solved for any number of right-hand sides.
 
-    Parameters
-    ----------
-    matrix : sparse array of shape (n, n)
-        A, symmetric; both triangles stored.
-    definite : bool, default True
-        Refuse a matrix that is not positive definite. Without it, pivots of either sign are
-        accepted as they come: nothing is pivoted for stability, so look at `backward_error`.
-    elimination : Elimination, optional
-        Of a matrix with the same pattern. Without it, that of `matrix` is found first, which takes
-        about as long as the factor itself.
+    Both triangles of A are stored. Unless it is to be `definite`, pivots of either sign are
+    accepted as they come: nothing is pivoted for stability, so look at `backward_error`. The
+    `elimination` of a matrix with the same pattern saves finding it, which takes about as long as
+    the factor itself. `pivots` are the diagonal of D, in the order of elimination.
 
-    Attributes
-    ----------
-    n : int
-        Size of the matrix.
-    pivots : ndarray of shape (n,)
-        The diagonal of D, in the order of elimination.
-    fill : int
-        Entries of L below its diagonal.
-    lower : sparse array of shape (n, n)
-        Those entries, by columns in the order of elimination.
-    elimination : Elimination
-        What other matrices of this pattern can share.
-
-    Notes
-    -----
-    A multifrontal factorisation in the order of `minimum_degree`; eight right-hand sides take
-    less than twice the time of one, so give it all there are at once. Compiled loops release the
-    interpreter lock, in threads. The bits of a solution depend neither on the number of threads
-    nor on the other right-hand sides. On operators
-    of surfaces CHOLMOD from a wheel took five to seven times as long for a factor.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from scipy import sparse
-    >>> from spectra_kit._sparse import SparseLDL
-    >>> factor = SparseLDL(sparse.csr_array([[2.0, -1.0], [-1.0, 2.0]]))
-    >>> factor.solve(np.array([1.0, 1.0]))
-    array([1., 1.])
-    >>> SparseLDL(sparse.csr_array([[1.0, 2.0], [2.0, 1.0]]), definite=False).inertia
-    Inertia(negative=1, zero=0, positive=1)
+    A multifrontal factorisation in the order of `minimum_degree`; eight right-hand sides take less
+    than twice the time of one, so give it all there are at once. Compiled loops release the
+    interpreter lock, in threads. The bits of a solution depend neither on the number of threads nor
+    on the other right-hand sides. On operators of surfaces CHOLMOD from a wheel took five to seven
+    times as long for a factor.
     """
 
     def __init__(
@@ -151,20 +119,11 @@ class SparseLDL:
     def backward_error(self, weight: Floats) -> float:
         """Bound how far the product of the factors is from the matrix.
 
-        Parameters
-        ----------
-        weight : ndarray of shape (n,)
-            Positive: W, diagonal.
+        At least ``||W^-1/2 (A - P (I + L) D (I + L)^T P^T) W^-1/2||`` in the 2-norm, with the
+        positive `weight` (n,) as diagonal W. By it `inertia` is certain: the negative eigenvalues
+        of ``A + bound W`` are no more than those it counts, and those of ``A - bound W`` no fewer.
+        Infinite if it overflows.
 
-        Returns
-        -------
-        float
-            At least ``||W^-1/2 (A - P (I + L) D (I + L)^T P^T) W^-1/2||`` (2-norm), by which
-            `inertia` is certain: the negative eigenvalues of ``A + bound W`` are no more than
-            those it counts, and those of ``A - bound W`` no fewer. Infinite if it overflows.
-
-        Notes
-        -----
         Each entry of the difference is at most ``c u |I + L| |D| |I + L|^T``, with the unit
         roundoff u and c a little above the longest row of L (Higham, *Accuracy and Stability of
         Numerical Algorithms*, 2002, ch. 11): large where a pivot was small. The norm of that
@@ -186,19 +145,10 @@ class SparseLDL:
         return (longest + 6) * _EPS * bound if np.isfinite(bound) else np.inf
 
     def solve(self, rhs: NDArray[np.floating], *, dtype: DTypeLike = np.float64) -> NDArray[Any]:
-        """Solve ``A x = rhs``.
+        """Solve for one right-hand side (n,) or several (n, s); any order but C is copied.
 
-        Parameters
-        ----------
-        rhs : ndarray of shape (n,) or (n, s)
-            C order is read as it is, any other is copied.
-        dtype : {float64, float32}, default float64
-            Of the arithmetic and of the solution. float32 halves memory and time; its error is
-            some 1e-7 times the condition of A.
-
-        Returns
-        -------
-        ndarray of the shape of `rhs`
+        In float32, of arithmetic and solution, it takes half the memory and time; the error is some
+        1e-7 times the condition of A.
         """
         from spectra_kit._sparse._lane_kernels import LANES, solve_columns
 

@@ -24,26 +24,14 @@ class RankError(InvalidInputError):
 
 
 def orthonormalize(basis: Any, mass: Any, *, rank_tol: float = 1e-10) -> Any:
-    """Return an M-orthonormal basis Y of the numerical range of `basis`.
+    """Return an M-orthonormal basis Y of the numerical range of `basis`, in float64.
 
-    Parameters
-    ----------
-    basis : ndarray or Tensor of shape (n, m)
-        Columns that span the wanted space; they may be dependent.
-    mass : ndarray or Tensor of shape (n,), or sparse matrix of shape (n, n)
-        Positive lumped mass, or a mass matrix, in length^2; of the kind of `basis`.
-    rank_tol : float, default 1e-10
-        Directions whose singular value (of the columns scaled to unit M-norm) is below
-        ``rank_tol`` times the largest are dropped. Small directions carry real accuracy:
-        a cut at 3e-6 costs the refinement that follows a factor of ten.
+    Columns of the `basis`, (n, m), may be dependent. The mass, in length^2, is lumped (n,) or a
+    sparse matrix, of the kind of the basis: all are arrays, or all tensors. Directions whose
+    singular value (of the columns scaled to unit M-norm) is below `rank_tol` times the largest are
+    dropped. Small directions carry real accuracy: a cut at 3e-6 costs the refinement that follows a
+    factor of ten.
 
-    Returns
-    -------
-    ndarray or Tensor of shape (n, r)
-        float64 with r <= m, ``Y.T @ (mass[:, None] * Y) == I`` to rounding.
-
-    Notes
-    -----
     Repeated whitening by the eigenvectors of the Gram matrix (SVQB; Stathopoulos and Wu, *A block
     orthogonalization procedure with constant synchronization requirements*, 2002): the long
     side sees matrix products alone. One Gram matrix resolves singular values down to 1e-8 of the

@@ -18,25 +18,11 @@ _SMALL = 200_000  # multiplications below which a thread costs more than it save
 def spmm(
     matrix: sparse.csr_array, dense: NDArray[np.floating], *, dtype: DTypeLike | None = None
 ) -> NDArray[Any]:
-    """Return ``matrix @ dense``, on all cores.
+    """Return ``matrix @ dense``, on all cores; the same bits whatever the number of threads.
 
-    Parameters
-    ----------
-    matrix : sparse array of shape (n, m)
-        In CSR form; any other is converted first.
-    dense : ndarray of shape (m, s)
-        float32 or float64, in C order (else copied).
-    dtype : {float32, float64}, optional
-        Of the sums and the result; that of `dense` without it.
-
-    Returns
-    -------
-    ndarray of shape (n, s)
-        The same bits whatever the number of threads.
-
-    Notes
-    -----
-    scipy's product runs on one core and only in the wider of the two types.
+    In CSR form and C order; anything else is converted first. `dtype` is that of the sums and the
+    result, by default that of `dense`. scipy's product runs on one core and only in the wider of
+    the two types.
     """
     from spectra_kit._sparse._kernels import multiply_rows
 

@@ -47,18 +47,10 @@ _CLOSER = 10
 
 
 class Sliced(NamedTuple):
-    """What `sliced_eigenpairs` found.
+    """What `sliced_eigenpairs` found: the m <= k lowest eigenvalues, ascending, and their vectors.
 
-    Attributes
-    ----------
-    eigenvalues : ndarray of shape (m,)
-        The m <= k lowest, ascending.
-    eigenvectors : ndarray of shape (n, m)
-        M-orthonormal.
-    shifts : int
-        Factors that were made.
-    seconds : dict
-        Wall time by stage.
+    These are M-orthonormal, of shape (n, m). `shifts` counts the factors that were made; `seconds`
+    are wall time by stage.
     """
 
     eigenvalues: Floats

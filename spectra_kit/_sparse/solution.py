@@ -11,34 +11,11 @@ from spectra_kit._core.types import Floats
 class LinearSolution:
     """A solution of ``A x = b``, with the way to it.
 
-    Parameters
-    ----------
-    x : ndarray of shape (n,)
-        The solution.
-    residual_norms : ndarray of shape (iterations + 1,)
-        ``||b - A x||`` of the start and after each iteration, in the 2-norm. The last one is
-        computed from its definition, those before it may come from a recurrence.
-    rhs_norm : float
-        ``||b||``.
-    converged : bool
-        Whether the last residual meets the tolerance that was asked for.
-    method : str
-        What solved the system.
-    setup_seconds : float
-        Time spent on the factor or the preconditioner, before any right-hand side was known.
-    seconds : float
-        Time of this solve, without the setup.
-    times : ndarray of shape (iterations + 1,)
-        Seconds from the start of the solve to when each residual was known.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from scipy import sparse
-    >>> from spectra_kit._sparse import pcg
-    >>> solution = pcg(sparse.eye_array(3, format="csr"), np.array([1.0, 2.0, 2.0]))
-    >>> solution
-    LinearSolution(n=3, method='CG', iterations=1, relative_residual=0.0e+00, converged=True)
+    `residual_norms` are ``||b - A x||`` of the start and after each iteration, in the 2-norm. The
+    last one is computed from its definition, those before it may come from a recurrence. `rhs_norm`
+    is ``||b||``, and `times` are seconds from the start of the solve to when each residual was
+    known. `setup_seconds` went into the factor or the preconditioner, before any right-hand side
+    was known; `seconds` are without them.
     """
 
     x: Floats
