@@ -1,7 +1,7 @@
 """The annotations of public functions, held at run time: arguments of a wrong kind are refused.
 
 A kind is what an annotation tells: a `Laplacian`, an integer, one of some words. What it cannot
-tell (ranges, shapes) is checked inside, by `_validate`. A class with a static method ``_made_of``
+tell (ranges, shapes) is checked inside, by `validate`. A class with a static method ``_made_of``
 says what else it may be given as: that is how files and other toolkits' meshes become geometries.
 """
 

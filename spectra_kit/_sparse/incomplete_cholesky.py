@@ -44,6 +44,12 @@ class IncompleteCholesky:
     The threshold factor is ICT(tau) (Saad, *Iterative Methods for Sparse Linear Systems*,
     2003, section 10.8); relaxation after Gustafsson (*BIT* 18, 1978) and Axelsson & Lindskog
     (*Numer. Math.* 48, 1986). Both sweeps read rows, each from its own copy of L.
+
+    >>> from scipy import sparse
+    >>> from spectra_kit._sparse import IncompleteCholesky
+    >>> path = sparse.csr_array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
+    >>> IncompleteCholesky(path)
+    IncompleteCholesky(n=3, level 0, fill=2)
     """
 
     def __init__(

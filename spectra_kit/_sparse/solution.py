@@ -16,6 +16,12 @@ class LinearSolution:
     is ``||b||``, and `times` are seconds from the start of the solve to when each residual was
     known. `setup_seconds` went into the factor or the preconditioner, before any right-hand side
     was known; `seconds` are without them.
+
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> from spectra_kit._sparse import pcg
+    >>> pcg(sparse.eye_array(3, format="csr"), np.array([1.0, 2.0, 2.0]))
+    LinearSolution(n=3, method='CG', iterations=1, relative_residual=0.0e+00, converged=True)
     """
 
     x: Floats
