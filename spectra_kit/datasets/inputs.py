@@ -92,12 +92,10 @@ def find_inputs(sources: Sequence[str | os.PathLike[str]]) -> list[Input]:
     -------
     list of Input
         In the order of the sources, those of a pattern or a folder in that of their names. Each is
-        named by its path as it was given, with ``/`` between folders.
+        named by its path as it was given, with ``/`` between folders; no two by the same.
 
     Raises
     ------
-    InvalidInputError
-        If a source names nothing, or two files have one name.
     InvalidFileError
         If a manifest is not there, or is no table with a column ``file``.
 
@@ -143,8 +141,6 @@ def find_pairs(
 
     Raises
     ------
-    InvalidInputError
-        If the store has fewer than two shapes, or several plans and none is given.
     InvalidFileError
         If the file is not there, or is no table with such columns.
 

@@ -97,8 +97,7 @@ def match_all(
 ) -> BatchReport[Pair, MapRecord]:
     """Match pairs of shapes of a store, but for those whose map it has already.
 
-    Interrupted, it loses what is in work; called again, it goes on. Several runs may share a store:
-    each goes in an order of its own, and meets what others have done.
+    Interrupted and called again, it goes on; several runs may share a store: see `compute_all`.
 
     Parameters
     ----------
@@ -110,12 +109,8 @@ def match_all(
         By which the spectra were computed, where the store has several.
     matching : Matching
         How they are matched.
-    engine : Engine, optional
-        Who works, such as a `DaskEngine`; by default this process, one pair after the other.
-    strict : bool, default False
-        Stop at the first failure, and raise it.
-    progress : callable, optional
-        Told how many pairs of how many are done.
+    engine, strict, progress
+        As of `compute_all`.
 
     Returns
     -------
@@ -124,8 +119,6 @@ def match_all(
 
     Raises
     ------
-    InvalidInputError
-        If the store has no spectra, or those of several plans and none is given.
     StoreError
         If the store cannot be written: no other map could be kept either.
     SpectraKitError

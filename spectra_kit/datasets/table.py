@@ -39,15 +39,10 @@ def write_table(path: str | os.PathLike[str], report: BatchReport[Any, Any]) -> 
     report : BatchReport
         What was computed or matched. What failed has no row.
 
-    Raises
-    ------
-    InvalidInputError
-        If a column of the manifest, or of the pairs, has the name of one of these, or the folder
-        does not exist.
-
     Notes
     -----
-    Columns of shapes: ``name`` and those of the manifest; ``kind``, ``points``, ``faces``, ``area``
+    Columns of shapes: ``name`` and those of the manifest, which must not be named like others;
+    ``kind``, ``points``, ``faces``, ``area``
     and ``components``; ``zero_modes``, ``level`` and ``residual`` tell how far the modes can be
     trusted; ``problems`` of the geometry and ``warnings`` of the solver; ``same_as``, an earlier
     name of the very same geometry; the keys ``shape`` and ``spectrum`` of the store;

@@ -237,24 +237,11 @@ def is_hard(laplacian: Laplacian) -> bool:
 def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floats:
     """Return the errors estimated, raised to what counts leave open where these refute them.
 
-    Parameters
-    ----------
-    laplacian : Laplacian
-        Connected, on n points.
-    values : ndarray of shape (k,)
-        Ritz values, ascending: no eigenvalue is higher.
-    errors : ndarray of shape (k,)
-        How far they are above, as estimated, in the unit of the values.
+    The operator is connected. The values are Ritz values, ascending: no eigenvalue is higher. Their
+    errors (k,), in the same unit, stay as they are if no count refutes three times as much. Else
+    they become as many times as large as counts allow; and from the first on that no multiple
+    explains, what the highest shift leaves open below which few enough eigenvalues were counted.
 
-    Returns
-    -------
-    ndarray of shape (k,)
-        The same, if no count refutes three times as much. Else as many times as counts allow; and
-        from the first on that no multiple explains, what the highest shift leaves open below which
-        few enough eigenvalues were counted.
-
-    Notes
-    -----
     Estimates know nothing of a mode that the columns lack. By Sylvester's law, the negative pivots
     of a factor of ``L - sigma M`` are as many as eigenvalues below sigma: if more than j lie below
     ``values[j] - 3 errors[j]``, the estimate is wrong; if j at most lie below ``values[j] - 30

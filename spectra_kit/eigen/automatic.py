@@ -113,22 +113,7 @@ class Automatic:
         return "exact" if self.accuracy is None else "approximate"
 
     def choose(self, n: int, k: int) -> tuple[Eigensolver, str]:
-        """Return what solves for k modes on n points, and why it is this one.
-
-        Parameters
-        ----------
-        n : int
-            Points of one component.
-        k : int
-            Modes.
-
-        Returns
-        -------
-        solver : Eigensolver
-            What begins.
-        reason : str
-            In a few words.
-        """
+        """Return what begins to solve for k modes on the n points of a component, and why."""
         needed = Lanczos.memory(n, k)
         fits = needed <= self.memory
         if fits and n <= max(_FEW, _FEW_FOR_EACH * k):

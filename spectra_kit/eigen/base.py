@@ -72,10 +72,8 @@ class Eigensolver(Protocol):
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs | tuple[Floats, Floats]:
         """Return the k lowest eigenpairs of `laplacian`.
 
-        Raises
-        ------
-        NotConvergedError
-            With the pairs there are; `eigensolve` certifies them and raises `ConvergenceError`.
+        What stops short raises `NotConvergedError` with the pairs there are; `eigensolve` certifies
+        them and raises `ConvergenceError`.
         """
         ...
 

@@ -47,8 +47,8 @@ def spectrum(geometry: Geometry, k: int, solver: Eigensolver = Automatic()) -> S
 
     Raises
     ------
-    InvalidInputError, ConvergenceError, InvalidSpectrumError, OutOfMemoryError
-        As of `laplacian` and `eigensolve`.
+    ConvergenceError, InvalidSpectrumError, OutOfMemoryError
+        As of `eigensolve`.
 
     Examples
     --------

@@ -50,19 +50,14 @@ class Spectrum(Rebuilt):
     eigenvalues : array_like of shape (k,)
         Ascending, >= 0, in 1/length^2.
     eigenvectors : array_like of shape (n, k)
-        Columns, M-orthonormal: ``U.T @ (mass[:, None] * U) == I``; in 1/length.
+        Columns, M-orthonormal: ``U.T @ (mass[:, None] * U) == I``; in 1/length. `eigensolve` checks
+        that; here it is taken for granted.
     mass : array_like of shape (n,)
         Lumped mass, positive, in length^2.
     certificate : Certificate, optional
         Residuals and counts; `eigensolve` always fills it.
     provenance : Provenance, optional
         Solver, operator, seed, times, input hash.
-
-    Raises
-    ------
-    InvalidSpectrumError
-        If shapes disagree, a value is not finite, eigenvalues are negative or out of order, or
-        the mass is not positive. (`eigensolve` also checks orthonormality.)
 
     Examples
     --------
@@ -131,43 +126,19 @@ class Spectrum(Rebuilt):
         return int((self.eigenvalues * self.area <= _ZERO_MODE).sum())
 
     def truncate(self, k: int) -> Spectrum:
-        """Return the first modes.
-
-        Parameters
-        ----------
-        k : int
-            How many, from 1 to those there are.
-
-        Returns
-        -------
-        Spectrum
-            Of k modes, certificate included.
-        """
+        """Return the first k modes, certificate included."""
         return self._modes(slice(0, check_count("k", k, low=1, high=self.k)))
 
     def nonzero(self) -> Spectrum:
-        """Return the modes outside the kernel: what deflation, GPS and descriptors need.
-
-        Returns
-        -------
-        Spectrum
-            Without the first `n_zero_modes`.
-        """
+        """Return the modes outside the kernel: what deflation, GPS and descriptors need."""
         return self._modes(slice(self.n_zero_modes, self.k))
 
     def rescale(self, factor: float) -> Spectrum:
         """Return the spectrum of the same surface with lengths multiplied by `factor`.
 
-        Parameters
-        ----------
-        factor : float
-            From 1e-150 to 1e150; 1000 from metres to millimetres.
-
-        Returns
-        -------
-        Spectrum
-            Eigenvalues over ``factor**2``, masses times that, eigenvectors over `factor`. Its
-            provenance has no input hash: no solver has seen the scaled surface.
+        A factor of 1000 leads from metres to millimetres: eigenvalues are divided by its square,
+        masses multiplied by that, and eigenvectors divided by the factor. The provenance has no
+        input hash, for no solver has seen the scaled surface.
         """
         if not 1 / _LARGEST_FACTOR <= check_positive("factor", factor) <= _LARGEST_FACTOR:
             raise InvalidInputError(
@@ -193,17 +164,9 @@ class Spectrum(Rebuilt):
         )
 
     def project(self, values: Annotated[ArrayLike, NDArray[np.bool_]]) -> Floats:
-        """Return the coefficients ``U^T M f`` of functions.
+        """Return the coefficients ``U^T M f`` of functions, in their unit times length.
 
-        Parameters
-        ----------
-        values : array_like of shape (n,) or (n, c)
-            One function, or c of them.
-
-        Returns
-        -------
-        ndarray of shape (k,) or (k, c)
-            In the unit of the functions times length.
+        `values` has shape (n,) or, of c functions, (n, c); the coefficients have (k,) or (k, c).
         """
         f = _as_columns("values", values, self.n)
         with blas_threads_for(self.eigenvectors.size):
@@ -212,15 +175,7 @@ class Spectrum(Rebuilt):
     def reconstruct(self, coefficients: ArrayLike) -> Floats:
         """Return the functions ``U c`` with these coefficients.
 
-        Parameters
-        ----------
-        coefficients : array_like of shape (k,) or (k, c)
-            As `project` returns them.
-
-        Returns
-        -------
-        ndarray of shape (n,) or (n, c)
-            One function, or c of them.
+        The coefficients have shape (k,) or (k, c), as of `project`; the functions (n,) or (n, c).
         """
         c = _as_columns("coefficients", coefficients, self.k)
         with blas_threads_for(self.eigenvectors.size):
@@ -229,17 +184,8 @@ class Spectrum(Rebuilt):
     def filter(self, response: Callable[[Floats], Floats], values: ArrayLike) -> Floats:
         """Return ``U g(lambda) U^T M f``: functions with each mode multiplied by a number.
 
-        Parameters
-        ----------
-        response : callable
-            g: takes the eigenvalues, (k,), and returns as many numbers.
-        values : array_like of shape (n,) or (n, c)
-            f: one function, or c of them.
-
-        Returns
-        -------
-        ndarray of shape (n,) or (n, c)
-            In the unit of f.
+        `response` is g: it takes the eigenvalues, (k,), and returns as many numbers. `values` is f,
+        one function (n,) or c of them (n, c); so is what comes back.
         """
         gain = np.asarray(response(self.eigenvalues), dtype=np.float64)
         if gain.shape != (self.k,):
@@ -253,18 +199,9 @@ class Spectrum(Rebuilt):
     def residuals(self, laplacian: Laplacian) -> Floats:
         """Return ``||L u - lambda M u|| / ||u||`` of each mode: (k,), in 1/length^2.
 
-        In the M^-1 and M norms. Rows of fixed (Dirichlet) points are left out: there u is
-        prescribed, not solved for.
-
-        Parameters
-        ----------
-        laplacian : Laplacian
-            On the points of the spectrum, with its mass.
-
-        Returns
-        -------
-        ndarray of shape (k,)
-            Within so much of each eigenvalue lies a true one.
+        In the M^-1 and M norms: within so much of each eigenvalue lies a true one of `laplacian`,
+        which has the points and the mass of the spectrum. Rows of fixed (Dirichlet) points are left
+        out: there u is prescribed, not solved for.
         """
         self._check_belongs_to(laplacian)
         norms = residual_norms(
@@ -303,46 +240,19 @@ class Spectrum(Rebuilt):
             )
 
     def orthonormality_error(self) -> float:
-        """Return the largest entry of ``|U^T M U - I|``.
-
-        Returns
-        -------
-        float
-            0 without any modes.
-        """
+        """Return the largest entry of ``|U^T M U - I|``; 0 without any modes."""
         error = gram(self.mass, self.eigenvectors) - np.eye(self.k)
         return float(np.abs(error).max(initial=0.0))
 
     def certify(self, laplacian: Laplacian) -> Spectrum:
         """Return this spectrum with a `Certificate`, whoever computed it.
 
-        Parameters
-        ----------
-        laplacian : Laplacian
-            What to hold it against, as in `residuals`.
-
-        Returns
-        -------
-        Spectrum
-            The same modes; a count of eigenvalues is not made: see `verify`.
+        It is held against `laplacian` as in `residuals`. Eigenvalues are not counted: see `verify`.
         """
         return self.described(certificate_of(self, laplacian), self.provenance)
 
     def described(self, certificate: Certificate | None, provenance: Provenance) -> Spectrum:
-        """Return the same modes with these facts; the arrays, checked once, are not read again.
-
-        Parameters
-        ----------
-        certificate : Certificate or None
-            Of these modes.
-        provenance : Provenance
-            Where they come from.
-
-        Returns
-        -------
-        Spectrum
-            Of the same arrays.
-        """
+        """Return the same modes with these facts; the arrays, checked once, are not read again."""
         _check_covers(certificate, self.k)
         spectrum = object.__new__(type(self))
         vars(spectrum).update(vars(self), certificate=certificate, provenance=provenance)
@@ -373,11 +283,7 @@ class Spectrum(Rebuilt):
         """Write everything to one versioned ``.npz`` file, whole or not at all.
 
         float64, uncompressed and aligned, so `load` can map it; plain ``numpy.load`` reads it too.
-
-        Parameters
-        ----------
-        path : str or Path
-            Where; what is there is replaced.
+        What is there is replaced.
 
         Raises
         ------
@@ -393,20 +299,10 @@ class Spectrum(Rebuilt):
 
     @classmethod
     def load(cls, path: str | Path, *, mmap: bool = False) -> Spectrum:
-        """Read a spectrum written by `save`.
+        """Read a spectrum written by `save`, with certificate and provenance.
 
-        Parameters
-        ----------
-        path : str or Path
-            The ``.npz`` file.
-        mmap : bool, default False
-            Map the arrays instead of reading them: instant, paged in as they are used, and
-            without the checks (checksums, finite values) that reading makes.
-
-        Returns
-        -------
-        Spectrum
-            With certificate and provenance.
+        With `mmap` the arrays are mapped instead of read: instant, paged in as they are used, and
+        without the checks (checksums, finite values) that reading makes.
 
         Raises
         ------
@@ -425,19 +321,9 @@ class Spectrum(Rebuilt):
     def to_torch(
         self, *, device: str | torch.device = "cpu", dtype: torch.dtype | None = None
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return eigenvalues, eigenvectors and mass as new tensors.
+        """Return eigenvalues (k,), eigenvectors (n, k) and mass (n,) as new tensors.
 
-        Parameters
-        ----------
-        device : str or torch.device, default "cpu"
-            Where they shall be.
-        dtype : torch.dtype, optional
-            A real one; float64 without it.
-
-        Returns
-        -------
-        tuple of Tensor
-            Of shapes (k,), (n, k) and (n,).
+        They are float64, unless `dtype` is another real one.
         """
         import torch
 
@@ -454,15 +340,7 @@ class Spectrum(Rebuilt):
     def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
         """Draw its eigenvalues, as `show.plot_spectrum` does.
 
-        Parameters
-        ----------
-        path : path-like, optional
-            The file to write: PNG, PDF or SVG by its suffix.
-
-        Returns
-        -------
-        viz.Picture
-            Which notebooks show.
+        The picture is written to `path`: PNG, PDF or SVG by its suffix. Notebooks show it.
         """
         return draw("plot_spectrum", self, path=path)
 

@@ -13,9 +13,8 @@ from spectra_kit._core.arrays_file import read_arrays, write_arrays
 from spectra_kit.catalogue import SOLVERS
 from spectra_kit.errors import InvalidFileError
 
-# 2: certificates may hold a count; 3: what it misses, `accuracy`, `excess`; 4: `name`; 5: `errors`;
-# 6: `bounded`
-# and `reason`
+# 2: certificates may hold a count; 3: what it misses, `accuracy`, `excess`; 4: `name`; 5: `errors`
+# and `reason`; 6: `bounded`
 FORMAT_VERSION = 6
 REMEDY = "write it again with Spectrum.save"
 _ARRAYS = ("eigenvalues", "eigenvectors", "mass")

@@ -60,7 +60,7 @@ def mesh_eigenvalues(
     Raises
     ------
     ConvergenceError, InvalidSpectrumError, OutOfMemoryError
-        As `laplacian` and `eigensolve`.
+        As `eigensolve`.
 
     Notes
     -----

@@ -154,37 +154,14 @@ def prolonged(
 ) -> Smoothed:
     """Carry Ritz pairs of the coarsest level up to all points, and smooth them on each level.
 
-    Parameters
-    ----------
-    laplacian : Laplacian
-        On all points.
-    levels : sequence of Coarse
-        From `nested`; none, if the pairs are on all points.
-    values : ndarray of shape (b,)
-        Ritz values on the last of the levels, ascending.
-    vectors : ndarray or Tensor of shape (n, b)
-        Their M-orthonormal Ritz vectors; those beyond k guard the wanted ones.
-    k : int
-        Wanted pairs.
-    keep : int
-        Columns on all points, of at least k.
-    target : float
-        Stop when the estimated relative errors of the wanted eigenvalues are a third of it, in the
-        mean.
-    max_steps : int
-        Steps on all points at most.
-    device : str, default "cpu"
-        Where the levels above the coarsest are: arrays on "cpu", tensors elsewhere.
-    clock : Clock, optional
-        For the stages ``prolong``, ``smooth`` and ``rayleigh_ritz``.
+    The levels are those of `nested`, none if the pairs are on all points already. Values, (b,) and
+    ascending, and vectors, (n, b), array or tensor, are M-orthonormal Ritz pairs on the last of
+    them; those beyond k guard the wanted ones, and `keep` columns of them go on to all points.
+    There it stops after `max_steps`, or when the estimated relative errors of the wanted
+    eigenvalues are a third of `target`, in the mean. On the CPU the levels above the coarsest are
+    arrays, elsewhere tensors. Ritz values bound the eigenvalues from above on every level, for
+    the levels are nested.
 
-    Returns
-    -------
-    Smoothed
-        Ritz values bound the eigenvalues from above on every level, for the levels are nested.
-
-    Notes
-    -----
     A step is a Chebyshev smoother (`Smoothing`) and Rayleigh-Ritz. How often it is repeated on all
     points follows from what the steps gain. After Bornemann and Deuflhard, *The cascadic multigrid
     method for elliptic problems*, 1996.

@@ -303,15 +303,6 @@ def gathered(laplacian: Laplacian) -> tuple[Laplacian, Ints | None]:
     """Return the operator with its points in another order, and which they are.
 
     By reverse Cuthill-McKee; as it came, and None, where this brings neighbours hardly nearer.
-
-    Examples
-    --------
-    >>> from spectra_kit import robust_laplacian
-    >>> from spectra_kit.geometry import creature, sample
-    >>> from spectra_kit.eigen.multigrid.coarse import gathered
-    >>> _, order = gathered(robust_laplacian(sample(creature(2000, seed=0), 2000, seed=0)))
-    >>> order is None
-    False
     """
     matrix = laplacian.stiffness
     rows = np.repeat(np.arange(laplacian.n), np.diff(matrix.indptr))

@@ -25,28 +25,12 @@ _TINY = float(np.finfo(np.float32).tiny)
 def excess(
     smoothing: Smoothing, values: Floats, vectors: Any, residual: Any, falls: Floats
 ) -> Floats:
-    """Estimate by how much Ritz values are above the eigenvalues.
+    """Estimate by how much the first k Ritz values are above the eigenvalues.
 
-    Parameters
-    ----------
-    smoothing : Smoothing
-        Of the operator.
-    values : ndarray of shape (b,)
-        Ritz values, ascending.
-    vectors : ndarray or Tensor of shape (n, b)
-        Their Ritz vectors.
-    residual : ndarray or Tensor of shape (n, b)
-        ``L U - M U diag(values)``.
-    falls : ndarray of shape (k,)
-        By how much the last step lowered the first k values.
+    The values, (b,), are ascending; vectors and residual ``L U - M U diag(values)`` are arrays or
+    tensors, (n, b). `falls` says by how much the last step lowered the first k values. The estimate
+    has their unit, and knows nothing of modes that the columns lack.
 
-    Returns
-    -------
-    ndarray of shape (k,)
-        In the unit of the values. It knows nothing of modes that the columns lack.
-
-    Notes
-    -----
     To second order a Ritz value is too high by ``r^T (L - lambda M)^-1 r`` on what the columns do
     not span. For a few of them c = -L^-1 r comes from a Chebyshev iteration, as far down as the
     columns reach. L and not L - lambda M, for that is indefinite and what little r holds of lower

@@ -29,16 +29,9 @@ _REACH = 0.6  # degree d damps well from 1 / (1 + 0.6 d^2) of the top
 class Smoothing:
     """What smoothing on the points of one operator needs, prepared once.
 
-    Attributes
-    ----------
-    stiffness, mass : sparse array and ndarray, or tensors
-        L, and M or its diagonal, where the columns live.
-    diagonal : ndarray or Tensor of shape (n,)
-        That of L, with a floor and a share of the masses: the preconditioner.
-    highest : float
-        Bound on the eigenvalues of ``diagonal^-1 L``, by Gershgorin.
-    singles : host.Smoother or device.Smoother
-        The same in float32.
+    That is L, and M or its diagonal, as arrays or tensors, wherever the columns live. The diagonal
+    of L, with a floor and a share of the masses, is the preconditioner; `highest` bounds the
+    eigenvalues of ``diagonal^-1 L``, by Gershgorin; `singles` is the same in float32.
     """
 
     stiffness: Any

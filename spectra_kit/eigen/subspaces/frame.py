@@ -62,8 +62,7 @@ def canonical_frame(points: ArrayLike, mass: ArrayLike) -> Frame:
     Returns
     -------
     Frame
-        ``centre (3,)``, ``rotation (3, 3)`` and ``scale``: the posed cloud
-        ``(points - centre) @ rotation / scale`` has largest absolute coordinate 1.
+        The posed cloud ``(points - centre) @ rotation / scale`` has largest absolute coordinate 1.
 
     Examples
     --------

@@ -102,15 +102,7 @@ class RandomBasis:
 
 
 class OnPoints:
-    """Mixin of a frozen dataclass that holds subspaces: restricted, it holds the restricted ones.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from spectra_kit import GivenBasis, Refined
-    >>> Refined(start=GivenBasis(np.eye(4))).restricted(np.array([2, 3])).start.columns.shape
-    (2, 4)
-    """
+    """Mixin of a frozen dataclass of subspaces: restricted, it holds the restricted ones."""
 
     def restricted(self, rows: Ints) -> Self:
         """Return the same for the points `rows` of its Laplacian alone."""
