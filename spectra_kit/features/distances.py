@@ -19,10 +19,8 @@ def diffusion_distances(surface: Solvable, sources: ArrayLike, *, time: float) -
 
     Parameters
     ----------
-    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
-        As of `heat_kernel_signature`; zero modes take part.
-    sources : array_like of shape (s,)
-        Indices of points.
+    surface, sources
+        As of `biharmonic_distances`; zero modes take part.
     time : float
         In length^2; `heat_times` spans the useful ones.
 

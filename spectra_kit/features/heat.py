@@ -132,8 +132,8 @@ def heat_kernel_signature(
         unless all landmarks lie on its plane of symmetry, from where mirror images look alike. On a
         second surface, give those of the same places in the same order.
     scaled : bool, default False
-        Divide each column by its heat trace ``sum_i exp(-lambda_i t)``, so that every time has
-        the integral 1 over the surface and similar weight in a comparison.
+        Divide each column by its heat trace ``sum_i exp(-lambda_i t)``, as Sun et al. compare them:
+        every time has the integral 1 over the surface and similar weight in a comparison.
     logarithm : bool, default False
         Return logarithms of what the signature is in units of 1/area: without a unit, and zero
         where all heat has spread evenly. Not from landmarks, where short times have both signs.
@@ -144,10 +144,6 @@ def heat_kernel_signature(
         ``sum_i exp(-lambda_i t) u_i(x)^2``, in 1/length^2: multiplying lengths by s divides the
         signature at the default times by s^2. About 1/(4 pi t) for short times. From landmarks
         ``sum_i exp(-lambda_i t) u_i(landmark) u_i(x)``: all times of the first, then of the second.
-
-    Notes
-    -----
-    Sun, Ovsjanikov and Guibas also scale by the heat trace to compare signatures.
 
     References
     ----------

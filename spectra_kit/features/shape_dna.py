@@ -27,6 +27,8 @@ def shape_dna(
 ) -> Floats:
     """The eigenvalues outside the kernel as a descriptor of the whole surface (ShapeDNA).
 
+    Isometric surfaces have equal ShapeDNA; a few surfaces that are not isometric share it too.
+
     Parameters
     ----------
     surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
@@ -48,10 +50,6 @@ def shape_dna(
     ndarray of shape (count,)
         Ascending, dimensionless unless `normalize` is None; about ``4 pi i`` for "area" and
         "weyl".
-
-    Notes
-    -----
-    Isometric surfaces have equal ShapeDNA; a few surfaces that are not isometric share it too.
 
     References
     ----------

@@ -90,7 +90,8 @@ def wave_kernel_signature(
         operator and solver. Zero modes, whose logarithm is no energy, are left out.
     energies : array_like of shape (e,), optional
         Logarithms of eigenvalues in the unit of `surface`; by default those of
-        ``wave_energies(surface, count, width=width)``.
+        ``wave_energies(surface, count, width=width)``. One far outside the spectrum shows the
+        nearest mode.
     count : int, default 100
         Number of energies where none are given.
     width : float, optional
@@ -110,10 +111,6 @@ def wave_kernel_signature(
         width^2))``, in 1/length^2; each column has the integral 1 over the surface. Multiplying
         lengths by s divides the signature at the default energies by s^2. From landmarks ``sum_i
         w_i u_i(landmark) u_i(x) / sum_i w_i``: all energies of the first, then of the second.
-
-    Notes
-    -----
-    An energy far outside the spectrum shows its nearest mode.
 
     References
     ----------

@@ -60,8 +60,7 @@ class StoreDataset(Dataset[ShapeTensors]):
     Raises
     ------
     InvalidInputError
-        If the store holds nothing of the plan, or of several plans where none is named; when an
-        item is asked for, if its modes are gone, or an operator refuses its geometry.
+        When an item is asked for, if its modes are gone, or an operator refuses its geometry.
     InvalidFileError
         When an item is asked for, if a file of it is damaged. Modes are mapped into memory, without
         the checks that reading makes: ``store.verify()`` makes them all.

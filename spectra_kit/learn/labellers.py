@@ -122,10 +122,8 @@ class Segmenter:
 
     Parameters
     ----------
-    names : tuple of str
-        Of the classes.
-    recipe : Recipe
-        How points become numbers.
+    names, recipe
+        As of `Classifier`.
     method : Network
         The sizes of its model.
     learned : Model

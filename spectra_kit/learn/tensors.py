@@ -90,7 +90,6 @@ class ShapeBatch(NamedTuple):
     names : tuple of str
         Of the shapes.
     points : Tensor of shape (b, n, 3)
-        Of all.
     mask : Tensor of shape (b, n)
         True where there is a point.
     faces : Tensor of shape (b, f, 3)
@@ -100,15 +99,12 @@ class ShapeBatch(NamedTuple):
     mass : Tensor of shape (b, n)
         So padding counts for nothing in integrals.
     eigenvalues : Tensor of shape (b, k)
-        Of all.
     eigenvectors : Tensor of shape (b, n, k)
-        Of all.
     descriptors : dict of str to Tensor
         (b, n, c), or (b, c) of ShapeDNA.
     stiffness, gradient_x, gradient_y : Tensor of shape (b n, b n), sparse CSR, or None
         Block-diagonal.
     frames : Tensor of shape (b, n, 3, 3) or None
-        Of all.
     labels : Tensor of shape (b,), (b, n) or (b, f), or None
         Padded by -1.
     """

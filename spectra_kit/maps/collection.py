@@ -120,19 +120,7 @@ class Collection(Rebuilt):
         return errors
 
     def candidate(self, source: str, target: str) -> Candidate:
-        """Return the map between two surfaces that the frames imply, before it is refined.
-
-        Parameters
-        ----------
-        source, target : str
-            Names of two surfaces.
-
-        Returns
-        -------
-        Candidate
-            Its functional map, grown anew from the lowest modes, and its score.
-
-        """
+        """Return the map that the frames imply, grown anew from the lowest modes, unrefined."""
         return self._candidate(source, target)
 
     def _candidate(self, source: str, target: str) -> Candidate:
@@ -143,27 +131,10 @@ class Collection(Rebuilt):
             return _implied(a, b, implied, bool(mirrored))
 
     def pair(self, source: str, target: str, *, k: int = 150, elastic: bool = True) -> Match:
-        """Return the map between two surfaces, refined as `match` does.
+        """Return the map between two surfaces, refined as `match` does, with its `k` and `elastic`.
 
-        Parameters
-        ----------
-        source, target : str
-            Names of two surfaces.
-        k : int, default 150
-            Modes to end with; fewer where the spectra have fewer.
-        elastic : bool, default True
-            Whether to bend the source onto the target in the end, where there are geometries.
-
-        Returns
-        -------
-        Match
-            It has one candidate, and so no rival: both its margins are infinite, and its confidence
-            is what it would be if a rival scored as well.
-
-        Warns
-        -----
-        DoubtfulMatchWarning
-            If the map is not `Match.convincing`.
+        It has one candidate, and so no rival: both its margins are infinite, and its confidence is
+        what it would be if a rival scored as well. Warns where it is not `Match.convincing`.
         """
         found = [self._candidate(source, target)]
         return matched_from(

@@ -135,10 +135,8 @@ def precise_map(
 
     Parameters
     ----------
-    source, target : Spectrum
-        Of the two surfaces, in any units.
-    functional_map : array_like of shape (k2, k1)
-        Source coefficients to target coefficients, at unit area.
+    source, target, functional_map
+        As of `point_map_from_functional_map`.
     faces : array_like of shape (f, 3)
         Triangles of the source, where the map goes; not of the target.
 

@@ -468,10 +468,8 @@ def orientation(
     ----------
     source_points : array_like of shape (n1, 3)
         Where the map goes.
-    source_faces : array_like of shape (f1, 3), integers
-        Triangles of the source, consistently turned (`operators.oriented_triangles`).
-    target_faces : array_like of shape (f2, 3), integers
-        Triangles of the target, consistently turned in the same sense.
+    source_faces, target_faces : array_like of shape (f1, 3) and (f2, 3), integers
+        Triangles, consistently turned in the same sense (`operators.oriented_triangles`).
     point_map : array_like of shape (n2,), integers
         Source point of each target point.
 

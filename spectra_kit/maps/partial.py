@@ -1,15 +1,12 @@
 """`match_part`: which points of a whole have a partner on a part of another surface, and which.
 
-Regions of a whole that a part of another surface may be: the rest of it beyond its limbs.
-
-Points at the ends of limbs are local maxima of the biharmonic distance to all others. What lies
-within a distance of one or two of them is taken off the whole, or is all that is left. Of such
-regions those are likely whose points have the wave kernel signatures that the points of the part
-have, whichever point has which. The modes of a region come from those of the whole, as in partial
-functional maps (Rodola et al., *Partial Functional Correspondence*, CGF 2017): it costs no solve.
-Eigenvalues alone find regions, too (Rampini et al., *Correspondence-Free Region Localization for
-Partial Shape Similarity via Hamiltonian Spectrum Alignment*, 3DV 2019), but of other people's
-bodies they find the wrong ones more often.
+Regions of the whole are tried: what lies within a distance of one or two ends of limbs
+(`limb_ends`), and what lies beyond, the likest to the part first (`likely_regions`). The modes of a
+region come from those of the whole, as in partial functional maps (Rodola et al., *Partial
+Functional Correspondence*, CGF 2017): it costs no solve. Eigenvalues alone find regions, too
+(Rampini et al., *Correspondence-Free Region Localization for Partial Shape Similarity via
+Hamiltonian Spectrum Alignment*, 3DV 2019), but of other people's bodies they find the wrong ones
+more often.
 """
 
 from __future__ import annotations
@@ -112,11 +109,10 @@ def match_part(
     Notes
     -----
     Regions of the whole beyond, and within, a distance of one or two ends of its limbs are compared
-    with the part by what points see around them (wave kernel signatures) and by eigenvalues; the
-    likeliest are matched as if they were wholes. Of the best, the part is bent onto the whole
-    (`match` ends so, too), where its border shows how far the region reaches; that region is
-    matched anew, and the one with the best score is the answer. A part whose border cuts
-    through the middle of a whole without limbs is out of reach.
+    with the part by wave kernel signatures and by eigenvalues; the likeliest are matched as if they
+    were wholes. Of the best, the part is bent onto the whole, as in `match`, where its border shows
+    how far the region reaches; that region is matched anew, and the one with the best score is the
+    answer. A part whose border cuts through the middle of a whole without limbs is out of reach.
 
     Examples
     --------

@@ -99,30 +99,13 @@ class Prepared(Rebuilt):
         return np.arange(self.spectrum.n) if self.subsample is None else self.subsample.closest
 
     def on_all_points(self) -> Prepared:
-        """Return the surface prepared to be matched on all its points, dense or not.
-
-        Returns
-        -------
-        Prepared
-            As if `n_points` had been large enough.
-        """
+        """Return the surface prepared to be matched on all its points, however dense."""
         if self.subsample is None:
             return self
         return _gathered(self.subsample.spectrum, self.subsample.surface, len(self.samples))
 
     def truncate(self, k: int) -> Prepared:
-        """Return the surface prepared with its first k modes alone.
-
-        Parameters
-        ----------
-        k : int
-            At least 30, and at most as many as there are.
-
-        Returns
-        -------
-        Prepared
-            As if it had been made of a truncated spectrum.
-        """
+        """Return the surface prepared with its first k modes alone, 30 or more."""
         return truncated(self, check_count("k", k, low=LOWEST_K, high=self.spectrum.k))
 
     def __repr__(self) -> str:
@@ -161,13 +144,6 @@ def prepare(
     -------
     Prepared
         At unit area, for any number of matches.
-
-    Raises
-    ------
-    InvalidInputError
-        If the spectrum has fewer than 30 modes, no constant mode or several components, the
-        geometry has other points or another area, or a dense one has a tiny piece that is not
-        connected to the rest.
 
     Examples
     --------

@@ -141,9 +141,8 @@ class Match(Rebuilt):
     candidates : tuple of Candidate
         Those that were refined and came out different, the chosen one first.
     precise : csr_array of shape (n2, n1) or None
-        Where on a triangle of the source each target point lies, if that was asked for: rows of at
-        most three barycentric coordinates, which are positive and sum to 1. The map times values at
-        the source points, or the points themselves, gives those at the target points.
+        Where on a triangle of the source each target point lies, if that was asked for, in the form
+        of `precise_map`.
     covered : ndarray of bool of shape (n2,), optional
         Which target points have a partner on a source that is a part; see `match_part`. None where
         both are wholes, and all points have one.
@@ -234,10 +233,9 @@ class Match(Rebuilt):
         and animals (SMAL, TOSCA), and of bodies with animals: of other kinds of shapes, and of
         parts (`covered`), it is a guess. Doubts about orientation and genera lower its odds to a
         fiftieth each; maps that are `alike` have equal shares of it; and so much of it is lost as
-        of the landmarks. An only
-        candidate, as those of a collection or of an `initial` map are, has as much as if a rival
-        scored as well. It does not see other symmetries: of a surface that is one with itself
-        turned or mirrored, a wrong map looks like a right one. See `ambiguous`.
+        of the landmarks. An only candidate, as of a collection or of an `initial` map, has as much
+        as if a rival scored as well. It does not see other symmetries: of a surface that is one
+        with itself turned or mirrored, a wrong map looks like a right one. See `ambiguous`.
         """
         margin = self.margin if len(self.candidates) > 1 else None
         likely = calibration.confidence_of(

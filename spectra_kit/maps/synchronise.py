@@ -8,11 +8,10 @@ two suggests one, and each T implies a map for *every* pair across: ``Y_q T Y_p^
 anew and scored, and the T with the best mean score wins, whatever the pair that suggested it
 preferred. So wrong choices of single pairs are outvoted, and cycles close by construction.
 
-That maps factor through a latent space is the consistency of Huang, Wang and Guibas (*Functional
-map networks for analyzing and exploring large shape collections*, SIGGRAPH 2014); growing them from
-what it implies is akin to *Consistent ZoomOut* (Huang, Ren, Wonka and Ovsjanikov, SGP 2020). Frames
-are orthogonal, as right maps nearly are: synchronisation on that group began with Pachauri, Kondor
-and Singh (*Solving the multi-way matching problem by permutation synchronization*, NeurIPS 2013).
+That maps factor through a latent space is the consistency of Huang, Wang and Guibas; growing them
+from what it implies is akin to *Consistent ZoomOut* (both in `match_collection`). Frames are
+orthogonal, as right maps nearly are: synchronisation on that group began with Pachauri, Kondor and
+Singh (*Solving the multi-way matching problem by permutation synchronization*, NeurIPS 2013).
 """
 
 from __future__ import annotations

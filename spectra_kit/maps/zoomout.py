@@ -165,14 +165,12 @@ def zoomout_many(
     k_final: int,
     step: int = 2,
 ) -> tuple[Floats, Ints]:
-    """Refine many candidate maps of one pair at once, on a few hundred samples.
+    """Refine many candidate maps of one pair at once, on a few hundred samples, as `zoomout` does.
 
     Parameters
     ----------
-    source_rows : array_like of shape (s1, k)
-        Eigenvectors at samples of the source, at unit area; k >= `k_final`.
-    target_rows : array_like of shape (s2, k)
-        The same for the target; s2 >= `k_final`.
+    source_rows, target_rows : array_like of shape (s1, k) and (s2, k)
+        Eigenvectors at samples, at unit area; k and s2 are `k_final` or more.
     maps : array_like of shape (c, k2, k1)
         Candidates, all of one size.
     k_final : int
@@ -186,10 +184,6 @@ def zoomout_many(
         Refined candidates: the least-squares fits on the samples.
     point_maps : ndarray of shape (c, s2)
         Source sample of each target sample, by the refined maps.
-
-    Notes
-    -----
-    Each candidate goes through what `zoomout` does with samples.
 
     Examples
     --------
