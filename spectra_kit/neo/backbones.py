@@ -69,8 +69,6 @@ class PointNetPlusPlus(_Hierarchical):
     with c chosen so that the weights are as many as NEO's of the same width and depth; heads and
     latents of the configuration play no part. Activations are SiLU, normalisation is per point.
 
-    References
-    ----------
     Qi et al., *PointNet++: Deep Hierarchical Feature Learning on Point Sets in a Metric Space*,
     NeurIPS 2017.
     """
@@ -111,8 +109,6 @@ class PointTransformer(_Hierarchical):
     way up, with c chosen so that the weights are as many as NEO's of the same width and depth;
     heads and latents of the configuration play no part. Normalisation is per point.
 
-    References
-    ----------
     Zhao et al., *Point Transformer*, ICCV 2021.
     """
 

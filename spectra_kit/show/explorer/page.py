@@ -124,11 +124,6 @@ def write_explorer(
     progress : callable, optional
         Called with the steps done and their number, after each.
 
-    Returns
-    -------
-    Explorer
-        Where the page is, and what it shows.
-
     Notes
     -----
     Functions are multiplied by sqrt(area), which makes the constant mode 1 and frees the colours of
