@@ -32,7 +32,11 @@ _NEIGHBOURS = 16  # that a point attends to
 
 
 class _Hierarchical(NeoNetwork):
-    """What both backbones share: sizes, input, and evaluation of large clouds."""
+    """What both backbones share: sizes, input, and evaluation of large clouds.
+
+    Channels are multiples of c, so that the weights are as many as NEO's of the same width and
+    depth; heads and latents of the configuration play no part. Normalisation is per point.
+    """
 
     _TERMS: int  # weights of the backbone in units of c^2
 
@@ -65,12 +69,9 @@ class _Hierarchical(NeoNetwork):
 class PointNetPlusPlus(_Hierarchical):
     """PointNet++ for one function value per point: two set abstractions, one global, and back.
 
-    Channels are c, 2c, 4c and 8c on the way down, as in the paper's table of hyper-parameters,
-    with c chosen so that the weights are as many as NEO's of the same width and depth; heads and
-    latents of the configuration play no part. Activations are SiLU, normalisation is per point.
+    Channels are c, 2c, 4c and 8c on the way down, as in the paper's table of hyper-parameters.
+    Activations are SiLU.
 
-    References
-    ----------
     Qi et al., *PointNet++: Deep Hierarchical Feature Learning on Point Sets in a Metric Space*,
     NeurIPS 2017.
     """
@@ -108,11 +109,8 @@ class PointTransformer(_Hierarchical):
     """Point Transformer for one function value per point: vector attention among 16 neighbours.
 
     Channels are c, 2c and 4c on the three levels, one block on each on the way down and on the
-    way up, with c chosen so that the weights are as many as NEO's of the same width and depth;
-    heads and latents of the configuration play no part. Normalisation is per point.
+    way up.
 
-    References
-    ----------
     Zhao et al., *Point Transformer*, ICCV 2021.
     """
 

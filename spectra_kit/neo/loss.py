@@ -113,16 +113,9 @@ class Smoother:
     after the steps of `eigen.multigrid.smoothing` it is ``p(D^-1 (L - lambda_j M)) e`` with their
     polynomial p and preconditioner D. Exact modes stay exact. Made by `of`.
 
-    Attributes
-    ----------
-    stiffness : sparse Tensor of shape (B N, B N)
-        L of all surfaces, in blocks.
-    mass, diagonal : Tensor of shape (B, N, 1)
-        The diagonals of M and D.
-    values : Tensor of shape (B, 1, k)
-        Eigenvalues.
-    steps : tuple of (Tensor, Tensor), of shape (B, 1, 1)
-        What a step keeps of the one before, and how far it goes.
+    `stiffness` is L of all surfaces, in blocks, (B N, B N). `mass` and `diagonal` are the diagonals
+    of M and D, (B, N, 1), `values` the eigenvalues, (B, 1, k). Each of the `steps` has two numbers,
+    (B, 1, 1): what it keeps of the one before, and how far it goes.
     """
 
     stiffness: Tensor

@@ -355,19 +355,10 @@ class NeoNetwork(nn.Module):
                         nn.init.zeros_(parameter)
 
     def forward(self, points: Tensor, mass: Tensor) -> Tensor:
-        """Predict basis functions.
+        """Predict basis functions (B, N, m), not orthonormal, in the precision of the weights.
 
-        Parameters
-        ----------
-        points : Tensor of shape (B, N, 3)
-            Posed coordinates in [-1, 1]^3.
-        mass : Tensor of shape (B, N)
-            Weights, only their ratios matter; points of none change nothing at the others.
-
-        Returns
-        -------
-        Tensor of shape (B, N, m)
-            Raw functions, not orthonormal, in the precision of the weights.
+        Points (B, N, 3) are posed, in [-1, 1]^3. Of the masses (B, N) only the ratios matter;
+        points of none change nothing at the others.
         """
         out: Tensor = self.head(self.features(points, mass), points)
         return out
@@ -388,22 +379,8 @@ class NeoNetwork(nn.Module):
 
         What grows with N is one row of D features and the output. The down-attention adds up
         softmax numerators and denominators over chunks in float32, so the result differs from
-        `forward` by rounding alone.
-
-        Parameters
-        ----------
-        points : Tensor of shape (N, 3)
-            Posed coordinates.
-        mass : Tensor of shape (N,)
-            Positive weights.
-        chunk : int, default 65536
-            Points at a time.
-        out : Tensor of shape (N, m), optional
-            Where to write, in any precision; by default new memory in that of the weights.
-
-        Returns
-        -------
-        Tensor of shape (N, m)
+        `forward` by rounding alone. Points are (N, 3) and masses (N,). The functions (N, m) are
+        written to `out`, in its precision, or to new memory in that of the weights.
         """
         parts = [slice(i, i + chunk) for i in range(0, len(points), chunk)]
         h = self._features_in(parts, points, mass)

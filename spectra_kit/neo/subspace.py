@@ -72,19 +72,10 @@ class NeoSubspace(Rebuilt):
             find_weights(self.network)
 
     def __call__(self, points: ArrayLike, mass: ArrayLike) -> NDArray[np.float32]:
-        """Predict a basis.
+        """Predict a basis (n, 1 + poses * m), not orthonormal; the first column is one.
 
-        Parameters
-        ----------
-        points : array_like of shape (n, 3)
-            Coordinates of one connected surface, in length.
-        mass : array_like of shape (n,)
-            Positive masses, in length^2; only their ratios matter.
-
-        Returns
-        -------
-        ndarray of shape (n, 1 + poses * m), float32
-            Not orthonormal; the first column is one.
+        Points (n, 3) are those of one connected surface, in length. Masses (n,) are positive, in
+        length^2; only their ratios matter.
         """
         return np.asarray(self.tensor(points, mass).cpu().numpy())
 
@@ -153,22 +144,10 @@ class NeoSubspace(Rebuilt):
     def predict_many(
         self, points: Sequence[ArrayLike], mass: Sequence[ArrayLike]
     ) -> list[torch.Tensor]:
-        """Predict bases of several clouds in one forward pass.
+        """Predict bases of several clouds in one forward pass, as float32 tensors on `device`.
 
         Smaller clouds are padded by points without mass, which change nothing at the others but
         rounding. A network that does not heed masses sees one cloud after the other.
-
-        Parameters
-        ----------
-        points : sequence of array_like of shape (n_i, 3)
-            As of a call for one cloud.
-        mass : sequence of array_like of shape (n_i,)
-            As many.
-
-        Returns
-        -------
-        list of Tensor of shape (n_i, 1 + poses * m), float32
-            On `device`.
         """
         if len(points) != len(mass):
             raise InvalidInputError("points", f"be as many as `mass`, {len(mass)}", len(points))

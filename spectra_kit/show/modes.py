@@ -116,11 +116,10 @@ def plot_comparison(
 
     Notes
     -----
-    Functions are multiplied by sqrt(area), which makes the constant mode 1 and frees the colours of
-    units. Exact and predicted share one symmetric limit for each mode, the difference
-    has its own; both are printed. Predicted modes are aligned by `align_modes`: signs, and bases
-    inside a cluster of near-equal eigenvalues, are chosen to look alike. The largest value of an
-    exact mode is positive, as in `plot_modes`.
+    Exact modes have the scale and the signs of `plot_modes`. Predicted ones are aligned to them by
+    `align_modes`: signs, and bases inside a cluster of near-equal eigenvalues, are chosen to look
+    alike. Both share one symmetric limit for each mode, the difference has its own; both limits are
+    printed.
     """
     chosen = check_modes(geometry, exact.truncate(comparison.k), modes)
     aligned = align_modes(exact, predicted, comparison)

@@ -195,7 +195,7 @@ def shuffled(n: int, config: TrainConfig, step: int) -> NDArray[np.int64]:
 
 
 def write_shard(folder: str | os.PathLike[str], index: int, samples: Samples) -> Path:
-    """Write one shard: all of it, or nothing.
+    """Write one shard, all of it or nothing, and return its folder.
 
     Parameters
     ----------
@@ -205,11 +205,6 @@ def write_shard(folder: str | os.PathLike[str], index: int, samples: Samples) ->
         Number of the shard. An existing shard is never overwritten.
     samples : Samples
         Finite, with masses that sum to one.
-
-    Returns
-    -------
-    Path
-        The folder of the new shard.
     """
     for name, array in samples.arrays().items():
         if not (array.size and np.isfinite(array).all()):
@@ -240,15 +235,12 @@ def write_shard(folder: str | os.PathLike[str], index: int, samples: Samples) ->
 def open_shards(*folders: str | os.PathLike[str]) -> Corpus:
     """Open every complete shard of corpora, in the order of their numbers, without reading it.
 
+    Opening again later sees shards that were added since.
+
     Parameters
     ----------
     *folders : path
         Where `write_shard` wrote. The samples of one that is named twice count twice.
-
-    Returns
-    -------
-    Corpus
-        Opening again later sees shards that were added since.
     """
     return Corpus(tuple(_open_shard(path) for folder in folders for path in _paths(Path(folder))))
 

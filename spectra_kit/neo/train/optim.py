@@ -41,18 +41,9 @@ class Muon(Optimizer):
     torch's always runs in bfloat16, which processors without such units emulate. Measured for
     the `small` network on two AVX2 cores: 1.7 s a step there, 0.1 s here.
 
-    Parameters
-    ----------
-    params : iterable of Tensor
-        Matrices (2-D).
-    lr : float
-        Step size, as for AdamW.
-    weight_decay : float, default 0.04
-        Decoupled decay.
-    momentum : float, default 0.95
-        Of the exponential average of gradients, used in Nesterov's form.
-    apply : callable, default map
-        Runs the shapes; the ``map`` of a thread pool runs them side by side.
+    Takes matrices, and the step size as for AdamW. The decay is decoupled; the momentum, of the
+    exponential average of gradients, is used in Nesterov's form. `apply` runs the shapes; the
+    ``map`` of a thread pool runs them side by side.
     """
 
     def __init__(

@@ -86,11 +86,6 @@ def open_pool(path: str | os.PathLike[str], split: str) -> MeshPool:
     split : str
         As in the manifest, e.g. ``"train"`` or ``"val"``. A packed file holds one split only.
 
-    Returns
-    -------
-    MeshPool
-        In the order of the names.
-
     Examples
     --------
     >>> import tempfile
@@ -143,6 +138,8 @@ def varied(
 def pack_pool(path: str | os.PathLike[str], target: str | os.PathLike[str], split: str) -> MeshPool:
     """Write one split of a pool into a single small file, for machines that get only files.
 
+    Returns what was written, equal to `open_pool` of `target`.
+
     Parameters
     ----------
     path : path
@@ -151,11 +148,6 @@ def pack_pool(path: str | os.PathLike[str], target: str | os.PathLike[str], spli
         The file to write, ``.npz``; smaller than the chunks, because it is packed with LZMA.
     split : str
         Which meshes.
-
-    Returns
-    -------
-    MeshPool
-        What was written; `open_pool` of `target` returns an equal one.
     """
     if Path(target).suffix != ".npz":
         raise InvalidInputError("target", "end in .npz", repr(os.fspath(target)))

@@ -132,10 +132,6 @@ def train(
         Called with the averaged network and a row, validated, for each hour of CPU time that the
         run has taken so far.
 
-    Returns
-    -------
-    TrainResult
-
     Examples
     --------
     >>> from tempfile import TemporaryDirectory

@@ -21,8 +21,7 @@ def functions_of(
 ) -> list[Floats]:
     """Modes (n, k) as they are shown: exact, then those of `predicted` aligned to them, if any.
 
-    Times sqrt(area), so that the constant mode is 1 and colours know no units, and with the signs
-    of all pictures.
+    In the scale and with the signs of `plot_modes`.
     """
     vectors = exact.eigenvectors[:, : exact.k if comparison is None else comparison.k]
     factor = np.sqrt(exact.area) * display_signs(vectors)

@@ -124,17 +124,11 @@ def write_explorer(
     progress : callable, optional
         Called with the steps done and their number, after each.
 
-    Returns
-    -------
-    Explorer
-        Where the page is, and what it shows.
-
     Notes
     -----
-    Functions are multiplied by sqrt(area), which makes the constant mode 1 and frees the colours of
-    units. Positions are rounded to 1/65535 of the longest side, values to 1/65534 of the
-    range of their mode. The signs of exact modes are those of `plot_modes`, predicted modes are
-    aligned to them by `align_modes`, for display only. Equal input makes equal files.
+    Modes have the scale and the signs of `plot_modes`, and predicted ones are aligned to the exact
+    by `align_modes`, for display only. Positions are rounded to 1/65535 of the longest side, values
+    to 1/65534 of the range of their mode. Equal input makes equal files.
 
     Examples
     --------

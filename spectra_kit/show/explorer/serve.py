@@ -27,16 +27,8 @@ def serve(
 ) -> None:
     """Serve a page to this machine alone, until Ctrl-C.
 
-    Parameters
-    ----------
-    page : path-like
-        An ``.html`` file, as `write_explorer` writes it. Nothing else is served.
-    port : int, default 0
-        Where to listen, on 127.0.0.1 alone; 0 for any free port.
-    open_browser : bool, default True
-        Open the page in the browser.
-    ready : callable, optional
-        Called with the address once it can be opened.
+    Nothing but the page is served, on 127.0.0.1; for `port` 0 at any free one. `ready` is called
+    with the address once it can be opened.
     """
     check_count("port", port, low=0, high=65535)
     if not Path(page).is_file():
