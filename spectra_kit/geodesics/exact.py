@@ -79,20 +79,15 @@ def exact_distances(
     Notes
     -----
     Windows of straight paths are continued from face to face, nearest first, and dropped where a
-    vertex is known to offer shorter ways (improved Chen-Han algorithm). Paths bend only at
-    vertices with more than a full turn of faces around, or on the boundary. At an edge of more
+    vertex is known to offer shorter ways (Chen and Han, *Shortest paths on a polyhedron*, SoCG
+    1990, as improved by Xin and Wang, ACM Transactions on Graphics 28 (4), 2009). Paths bend only
+    at vertices with more than a full turn of faces around, or on the boundary. At an edge of more
     than two faces a window keeps the part that no other reaches as soon.
 
     A face without area counts as one whose heights are 1e-12 of its sides.
 
     libigl has the same distances, to which the tests hold these; but not where more than two faces
     meet in an edge, and it does not stop at `targets`.
-
-    References
-    ----------
-    J. Chen, Y. Han, *Shortest paths on a polyhedron*, SoCG 1990.
-    S.-Q. Xin, G.-J. Wang, *Improving Chen and Han's algorithm on the discrete geodesic problem*,
-    ACM Transactions on Graphics 28 (4), 2009.
 
     Examples
     --------

@@ -103,18 +103,14 @@ class HeatGeodesics:
     down its gradient; the distance is the function whose gradient is nearest to X,
     ``L phi = div X``, and zero at the sources. Where both systems are solved iteratively, the
     modes serve the second one; the first has no slow modes. Not an upper bound of the true
-    distance, nor a lower one.
+    distance, nor a lower one. K. Crane, C. Weischedel, M. Wardetzky, "The heat method for distance
+    computation", Communications of the ACM 60(11), 2017.
 
     Where triangles are much larger than ``sqrt(t)``, heat does not tell the direction: it falls
     too steeply along their short sides. Those with a side of more than 8 typical edges take X from
     the heat of 64 t, those of more than 64 edges from that of 64^2 t, and so on. A mesh without
     such triangles needs one step. Details much smaller than a typical edge are blurred, and a
     warning says so if there are many: cut them out, or lower `time_coefficient`.
-
-    References
-    ----------
-    K. Crane, C. Weischedel, M. Wardetzky, "The heat method for distance computation",
-    Communications of the ACM 60(11), 2017.
 
     Examples
     --------
@@ -511,10 +507,8 @@ def geodesic_distance(
         How linear systems are solved. With the default, none is on a mesh of at most 2,000
         vertices: they take `exact_distances`, unless a source lies inside a face or another of
         the options below is given.
-    time_coefficient : float, default 1.0
-        Time of the heat step over the square of the typical edge.
-    boundary : {"neumann", "dirichlet", "average"}, default "neumann"
-        Of the heat step; all as in `HeatGeodesics`.
+    time_coefficient, boundary
+        As of `HeatGeodesics`.
 
     Returns
     -------
