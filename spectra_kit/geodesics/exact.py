@@ -70,12 +70,6 @@ def exact_distances(
         If paths would go round and round triangles that are extremely thin; `partial` then holds
         distances that may be too long.
 
-    See Also
-    --------
-    geodesic_distance : By the heat method: quick, smooth, a per cent or two off.
-    spectral_distance : By modes alone.
-    spectra_kit.geodesics.pair_distances : Between pairs, along edges or exact.
-
     Notes
     -----
     Windows of straight paths are continued from face to face, nearest first, and dropped where a
@@ -93,12 +87,11 @@ def exact_distances(
     --------
     Over the faces of a cube to the opposite corner, a path crosses two unfolded squares:
 
-    >>> from spectra_kit.geodesics import exact_distances
-    >>> from spectra_kit.geometry import TriangleMesh
+    >>> import spectra_kit as sk
     >>> points = [[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
     >>> faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
     >>> faces += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
-    >>> exact_distances(TriangleMesh(points, faces), 0)[[1, 3, 7]]
+    >>> sk.geodesics.exact_distances(sk.TriangleMesh(points, faces), 0)[[1, 3, 7]]
     array([1.    , 1.4142, 2.2360])
     """
     checked = check_sources(sources, mesh)

@@ -116,12 +116,10 @@ class HeatGeodesics:
     --------
     From pole to pole of the unit sphere:
 
-    >>> import numpy as np
-    >>> from spectra_kit import HeatGeodesics
-    >>> from spectra_kit.geometry import sphere
-    >>> mesh = sphere(subdivisions=4).geometry
+    >>> import spectra_kit as sk
+    >>> mesh = sk.geometry.sphere(subdivisions=4).geometry
     >>> north, south = mesh.points[:, 2].argmax(), mesh.points[:, 2].argmin()
-    >>> field = HeatGeodesics(mesh).distance(north)
+    >>> field = sk.HeatGeodesics(mesh).distance(north)
     >>> field.distance[[north, south]]
     array([0.  , 3.1...])
     """
@@ -519,15 +517,15 @@ def geodesic_distance(
     --------
     exact_distances : Of the polyhedron, exactly.
     spectral_distance : Roughly, from modes alone.
-    spectra_kit.geodesics.pair_distances : Between pairs of vertices, along edges.
+    spectra_kit.geodesics.pair_distances : Between pairs of vertices, along edges or exact.
+    spectra_kit.geodesics.distance_matrix : From many sources, or all points.
 
     Examples
     --------
-    >>> from spectra_kit import geodesic_distance
-    >>> from spectra_kit.geometry import rectangle
-    >>> geodesic_distance(rectangle(n=1000).geometry, 0).choice
+    >>> import spectra_kit as sk
+    >>> sk.geodesic_distance(sk.geometry.rectangle(n=1000).geometry, 0).choice
     'exact: at most 2000 vertices'
-    >>> geodesic_distance(rectangle(n=3000).geometry, 0).choice
+    >>> sk.geodesic_distance(sk.geometry.rectangle(n=3000).geometry, 0).choice
     'direct: factors of 3... points fit into 4 GiB'
     """
     plain = isinstance(solver, WithinMemory) and time_coefficient == 1 and boundary == "neumann"

@@ -118,9 +118,8 @@ def robust_laplacian(
 
     Examples
     --------
-    >>> from spectra_kit import robust_laplacian
-    >>> from spectra_kit.geometry import sphere
-    >>> laplacian = robust_laplacian(sphere(subdivisions=2).geometry)
+    >>> import spectra_kit as sk
+    >>> laplacian = sk.robust_laplacian(sk.geometry.sphere(subdivisions=2).geometry)
     >>> round(laplacian.area, 1)
     12.3
     """
@@ -174,11 +173,10 @@ def delaunay_laplacian(
 
     Examples
     --------
-    >>> from spectra_kit import delaunay_laplacian
-    >>> from spectra_kit.geometry import sphere
-    >>> mesh = sphere(subdivisions=3).geometry
-    >>> round(delaunay_laplacian(mesh).area, 2), round(delaunay_laplacian(mesh.as_cloud()).area, 2)
-    (12.51, 12.51)
+    >>> import spectra_kit as sk
+    >>> mesh = sk.geometry.sphere(subdivisions=3).geometry
+    >>> [round(sk.delaunay_laplacian(one).area, 2) for one in (mesh, mesh.as_cloud())]
+    [12.51, 12.51]
     """
     return intrinsic_delaunay(
         geometry, mollify_factor=mollify_factor, n_neighbors=n_neighbors
@@ -205,9 +203,8 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
 
     Examples
     --------
-    >>> from spectra_kit import cotan_laplacian
-    >>> from spectra_kit.geometry import rectangle
-    >>> laplacian = cotan_laplacian(rectangle(n=100).geometry)
+    >>> import spectra_kit as sk
+    >>> laplacian = sk.cotan_laplacian(sk.geometry.rectangle(n=100).geometry)
     >>> laplacian.kernel_dimension
     1
     """
@@ -274,9 +271,8 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
 
     Examples
     --------
-    >>> from spectra_kit import knn_laplacian
-    >>> from spectra_kit.geometry import sphere
-    >>> laplacian = knn_laplacian(sphere(subdivisions=2).geometry)
+    >>> import spectra_kit as sk
+    >>> laplacian = sk.knn_laplacian(sk.geometry.sphere(subdivisions=2).geometry)
     >>> laplacian.kernel_dimension
     1
     """

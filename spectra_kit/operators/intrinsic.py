@@ -52,9 +52,8 @@ class IntrinsicTriangulation(Rebuilt):
 
     Examples
     --------
-    >>> from spectra_kit import intrinsic_delaunay
-    >>> from spectra_kit.geometry import sphere
-    >>> triangulation = intrinsic_delaunay(sphere(subdivisions=3).geometry)
+    >>> import spectra_kit as sk
+    >>> triangulation = sk.intrinsic_delaunay(sk.geometry.sphere(subdivisions=3).geometry)
     >>> height = triangulation.points[:, 2]
     >>> energy = height @ triangulation.divergence(triangulation.gradient(height))
     >>> print(round(energy, 2), round(height @ triangulation.laplacian.stiffness @ height, 2))
@@ -208,9 +207,8 @@ def intrinsic_delaunay(
 
     Examples
     --------
-    >>> from spectra_kit import intrinsic_delaunay
-    >>> from spectra_kit.geometry import rectangle
-    >>> triangulation = intrinsic_delaunay(rectangle(n=100).geometry)
+    >>> import spectra_kit as sk
+    >>> triangulation = sk.intrinsic_delaunay(sk.geometry.rectangle(n=100).geometry)
     >>> round(triangulation.area, 3), len(triangulation.boundary)
     (1.618, 36)
     """

@@ -136,8 +136,7 @@ def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> Oriented
 
     Examples
     --------
-    >>> from spectra_kit import TriangleMesh
-    >>> from spectra_kit.geometry import sphere
+    >>> from spectra_kit.geometry import TriangleMesh, sphere
     >>> from spectra_kit.operators import area_form, oriented_triangles
     >>> mesh = sphere(subdivisions=3).geometry
     >>> inside_out = TriangleMesh(mesh.points, mesh.faces[:, ::-1])
