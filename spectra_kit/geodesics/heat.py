@@ -99,12 +99,14 @@ class HeatGeodesics:
 
     Notes
     -----
+    Crane, Weischedel and Wardetzky, *The heat method for distance computation*, Communications of
+    the ACM 60(11), 2017.
+
     Heat u spreads from the sources for a short time t, ``(M + t L) u = b``; unit vectors X point
     down its gradient; the distance is the function whose gradient is nearest to X,
     ``L phi = div X``, and zero at the sources. Where both systems are solved iteratively, the
     modes serve the second one; the first has no slow modes. Not an upper bound of the true
-    distance, nor a lower one. K. Crane, C. Weischedel, M. Wardetzky, "The heat method for distance
-    computation", Communications of the ACM 60(11), 2017.
+    distance, nor a lower one.
 
     Where triangles are much larger than ``sqrt(t)``, heat does not tell the direction: it falls
     too steeply along their short sides. Those with a side of more than 8 typical edges take X from
