@@ -99,7 +99,7 @@ def from_arrays(
     eigenvalues : array_like of shape (k,)
         Ascending, in 1/length^2.
     eigenvectors : array_like of shape (n, k)
-        M-orthonormal columns.
+        Columns, M-orthonormal to 1e-4.
     mass : array_like of shape (n,), or array or sparse array of shape (n, n)
         The mass they are orthonormal in, in length^2: lumped, or the full matrix of linear finite
         elements.
@@ -115,14 +115,6 @@ def from_arrays(
     -----
     IgnoredContentWarning
         If the mass is not diagonal: what comes back is of its row sums.
-
-    Raises
-    ------
-    InvalidInputError
-        If the columns are not M-orthonormal to 1e-4, eigenvalues are clearly negative, or row sums
-        of a mass that is not diagonal are not positive.
-    InvalidSpectrumError
-        If shapes disagree or eigenvalues descend.
 
     Notes
     -----
@@ -411,12 +403,9 @@ def to_diffusion_net(
     Notes
     -----
     Its layers see no unit: weights know the one they were trained in. Its own scripts centre the
-    points and divide them by the largest distance from their centre.
-
-    References
-    ----------
-    N. Sharp, S. Attaiki, K. Crane, M. Ovsjanikov, "DiffusionNet: discretization agnostic learning
-    on surfaces", ACM Transactions on Graphics 41(3), 2022.
+    points and divide them by the largest distance from their centre. Sharp, Attaiki, Crane and
+    Ovsjanikov, *DiffusionNet: discretization agnostic learning on surfaces*, ACM Transactions on
+    Graphics 41(3), 2022.
 
     Examples
     --------

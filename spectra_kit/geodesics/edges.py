@@ -42,11 +42,6 @@ def pair_distances(
     ndarray of shape (q,)
         In the length unit of `mesh`; infinite between components.
 
-    See Also
-    --------
-    exact_distances : To all vertices, from the nearest of several.
-    geodesic_distance : The same by the heat method.
-
     Notes
     -----
     One search serves all pairs with the same start (or the same end, where those are fewer), and

@@ -70,17 +70,12 @@ def exact_distances(
         If paths would go round and round triangles that are extremely thin; `partial` then holds
         distances that may be too long.
 
-    See Also
-    --------
-    geodesic_distance : By the heat method: quick, smooth, a per cent or two off.
-    spectral_distance : By modes alone.
-    spectra_kit.geodesics.pair_distances : Between pairs, along edges or exact.
-
     Notes
     -----
     Windows of straight paths are continued from face to face, nearest first, and dropped where a
-    vertex is known to offer shorter ways (improved Chen-Han algorithm). Paths bend only at
-    vertices with more than a full turn of faces around, or on the boundary. At an edge of more
+    vertex is known to offer shorter ways (Chen and Han, *Shortest paths on a polyhedron*, SoCG
+    1990, as improved by Xin and Wang, ACM Transactions on Graphics 28 (4), 2009). Paths bend only
+    at vertices with more than a full turn of faces around, or on the boundary. At an edge of more
     than two faces a window keeps the part that no other reaches as soon.
 
     A face without area counts as one whose heights are 1e-12 of its sides.
@@ -88,22 +83,15 @@ def exact_distances(
     libigl has the same distances, to which the tests hold these; but not where more than two faces
     meet in an edge, and it does not stop at `targets`.
 
-    References
-    ----------
-    J. Chen, Y. Han, *Shortest paths on a polyhedron*, SoCG 1990.
-    S.-Q. Xin, G.-J. Wang, *Improving Chen and Han's algorithm on the discrete geodesic problem*,
-    ACM Transactions on Graphics 28 (4), 2009.
-
     Examples
     --------
     Over the faces of a cube to the opposite corner, a path crosses two unfolded squares:
 
-    >>> from spectra_kit.geodesics import exact_distances
-    >>> from spectra_kit.geometry import TriangleMesh
+    >>> import spectra_kit as sk
     >>> points = [[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
     >>> faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
     >>> faces += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
-    >>> exact_distances(TriangleMesh(points, faces), 0)[[1, 3, 7]]
+    >>> sk.geodesics.exact_distances(sk.TriangleMesh(points, faces), 0)[[1, 3, 7]]
     array([1.    , 1.4142, 2.2360])
     """
     checked = check_sources(sources, mesh)

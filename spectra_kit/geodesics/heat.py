@@ -99,6 +99,9 @@ class HeatGeodesics:
 
     Notes
     -----
+    Crane, Weischedel and Wardetzky, *The heat method for distance computation*, Communications of
+    the ACM 60(11), 2017.
+
     Heat u spreads from the sources for a short time t, ``(M + t L) u = b``; unit vectors X point
     down its gradient; the distance is the function whose gradient is nearest to X,
     ``L phi = div X``, and zero at the sources. Where both systems are solved iteratively, the
@@ -111,21 +114,14 @@ class HeatGeodesics:
     such triangles needs one step. Details much smaller than a typical edge are blurred, and a
     warning says so if there are many: cut them out, or lower `time_coefficient`.
 
-    References
-    ----------
-    K. Crane, C. Weischedel, M. Wardetzky, "The heat method for distance computation",
-    Communications of the ACM 60(11), 2017.
-
     Examples
     --------
     From pole to pole of the unit sphere:
 
-    >>> import numpy as np
-    >>> from spectra_kit import HeatGeodesics
-    >>> from spectra_kit.geometry import sphere
-    >>> mesh = sphere(subdivisions=4).geometry
+    >>> import spectra_kit as sk
+    >>> mesh = sk.geometry.sphere(subdivisions=4).geometry
     >>> north, south = mesh.points[:, 2].argmax(), mesh.points[:, 2].argmin()
-    >>> field = HeatGeodesics(mesh).distance(north)
+    >>> field = sk.HeatGeodesics(mesh).distance(north)
     >>> field.distance[[north, south]]
     array([0.  , 3.1...])
     """
@@ -511,10 +507,8 @@ def geodesic_distance(
         How linear systems are solved. With the default, none is on a mesh of at most 2,000
         vertices: they take `exact_distances`, unless a source lies inside a face or another of
         the options below is given.
-    time_coefficient : float, default 1.0
-        Time of the heat step over the square of the typical edge.
-    boundary : {"neumann", "dirichlet", "average"}, default "neumann"
-        Of the heat step; all as in `HeatGeodesics`.
+    time_coefficient, boundary
+        As of `HeatGeodesics`.
 
     Returns
     -------
@@ -525,15 +519,15 @@ def geodesic_distance(
     --------
     exact_distances : Of the polyhedron, exactly.
     spectral_distance : Roughly, from modes alone.
-    spectra_kit.geodesics.pair_distances : Between pairs of vertices, along edges.
+    spectra_kit.geodesics.pair_distances : Between pairs of vertices, along edges or exact.
+    spectra_kit.geodesics.distance_matrix : From many sources, or all points.
 
     Examples
     --------
-    >>> from spectra_kit import geodesic_distance
-    >>> from spectra_kit.geometry import rectangle
-    >>> geodesic_distance(rectangle(n=1000).geometry, 0).choice
+    >>> import spectra_kit as sk
+    >>> sk.geodesic_distance(sk.geometry.rectangle(n=1000).geometry, 0).choice
     'exact: at most 2000 vertices'
-    >>> geodesic_distance(rectangle(n=3000).geometry, 0).choice
+    >>> sk.geodesic_distance(sk.geometry.rectangle(n=3000).geometry, 0).choice
     'direct: factors of 3... points fit into 4 GiB'
     """
     plain = isinstance(solver, WithinMemory) and time_coefficient == 1 and boundary == "neumann"

@@ -55,9 +55,8 @@ class DistanceField(Rebuilt):
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit.geodesics import geodesic_distance
-    >>> from spectra_kit.geometry import sphere
-    >>> field = geodesic_distance(sphere(subdivisions=3).geometry, 0)
+    >>> import spectra_kit as sk
+    >>> field = sk.geodesic_distance(sk.geometry.sphere(subdivisions=3).geometry, 0)
     >>> np.asarray(field).shape, bool(field.reached.all())
     ((642,), True)
     """

@@ -161,19 +161,8 @@ class WithinMemory:
     def choose(self, n: int, gigabytes: float | None = None) -> tuple[Direct | Iterative, str]:
         """Return the solver on n points, and why it is this one.
 
-        Parameters
-        ----------
-        n : int
-            Points.
-        gigabytes : float, optional
-            GiB that the factors take; without it, about as much as two do on even triangles.
-
-        Returns
-        -------
-        solver : Direct or Iterative
-            The former where the factors fit into `memory`.
-        reason : str
-            In a few words.
+        `gigabytes` are GiB that the factors take; without them, about as much as two do on even
+        triangles.
         """
         needed = 2 * factor_gigabytes(n) if gigabytes is None else gigabytes
         if needed <= self.memory:

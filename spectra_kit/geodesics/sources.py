@@ -103,10 +103,9 @@ class Sources:
 
     Examples
     --------
-    >>> from spectra_kit.geodesics import check_sources
-    >>> from spectra_kit.geometry import PointCloud
-    >>> cloud = PointCloud([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    >>> found = check_sources([2, 0], cloud)
+    >>> import spectra_kit as sk
+    >>> cloud = sk.PointCloud([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    >>> found = sk.geodesics.check_sources([2, 0], cloud)
     >>> found.vertices, found.right_hand_side()
     (array([0, 2]), array([1., 0., 1.]))
     """
@@ -221,12 +220,11 @@ def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint
 
     Examples
     --------
-    >>> from spectra_kit.geodesics import nearest_source
-    >>> from spectra_kit.geometry import TriangleMesh
-    >>> mesh = TriangleMesh([[0, 0, 0], [3, 0, 0], [0, 4, 0]], [[0, 1, 2]])
-    >>> nearest_source(mesh, [0.0, 1.0, 5.0])
+    >>> import spectra_kit as sk
+    >>> mesh = sk.TriangleMesh([[0, 0, 0], [3, 0, 0], [0, 4, 0]], [[0, 1, 2]])
+    >>> sk.geodesics.nearest_source(mesh, [0.0, 1.0, 5.0])
     FacePoint(face=0, barycentric=(0.75, 0.0, 0.25))
-    >>> nearest_source(mesh.as_cloud(), [0.0, 1.0, 5.0])
+    >>> sk.geodesics.nearest_source(mesh.as_cloud(), [0.0, 1.0, 5.0])
     0
     """
     target = real_array("coordinate", coordinate)

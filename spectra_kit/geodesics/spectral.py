@@ -54,10 +54,9 @@ def spectral_heat(
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import Spectrum
-    >>> from spectra_kit.geodesics import spectral_heat
-    >>> spectrum = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
-    >>> spectral_heat(spectrum, [0, 1], 1.0)
+    >>> import spectra_kit as sk
+    >>> spectrum = sk.Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+    >>> sk.geodesics.spectral_heat(spectrum, [0, 1], 1.0)
     array([1.   , 0.367...])
     """
     check_positive("time", time)
@@ -94,10 +93,9 @@ def smallest_spectral_time(spectrum: Spectrum, sources: SourcesLike) -> float:
     Examples
     --------
     >>> import spectra_kit as sk
-    >>> from spectra_kit.geodesics import smallest_spectral_time
     >>> ball = sk.geometry.sphere(subdivisions=3).geometry
     >>> spectrum = sk.eigensolve(sk.robust_laplacian(ball), 100)
-    >>> time = smallest_spectral_time(spectrum, 0)
+    >>> time = sk.geodesics.smallest_spectral_time(spectrum, 0)
     >>> print(round(time, 2), round(3.14 / (2 * spectrum.eigenvalues[-1] ** 0.5), 2))
     0.13 0.18
     """
@@ -140,16 +138,10 @@ def spectral_distance(
     DoubtfulDistanceWarning
         If `time` is too short for the modes.
 
-    See Also
-    --------
-    geodesic_distance : The heat method with both systems solved.
-    exact_distances : Shortest paths over the triangles.
-
     Notes
     -----
-    Crane, Weischedel and Wardetzky, *Geodesics in heat*, ACM Trans. Graph. 2013, with both linear
-    solves replaced by sums over modes, O(n k) for each source: heat that flows for some time gives
-    directions ``X = -grad u / |grad u|``, and the distance is
+    `HeatGeodesics` with both linear solves replaced by sums over modes, O(n k) for each source:
+    heat that flows for some time gives directions ``X = -grad u / |grad u|``, and the distance is
     ``sum_i u_i <u_i, div X> / lambda_i``, shifted to 0 at the source. Each vertex of `sources` gets
     a field of its own, and the nearest counts: together, sources closer than the modes resolve
     would blur.
@@ -181,11 +173,10 @@ def spectral_distance(
 
     >>> import numpy as np
     >>> import spectra_kit as sk
-    >>> from spectra_kit.geodesics import spectral_distance
     >>> ball = sk.geometry.sphere(subdivisions=3).geometry
-    >>> triangulation = sk.operators.intrinsic_delaunay(ball)
+    >>> triangulation = sk.intrinsic_delaunay(ball)
     >>> spectrum = sk.eigensolve(triangulation.laplacian, 100)
-    >>> distance = spectral_distance(spectrum, triangulation, 0)
+    >>> distance = sk.geodesics.spectral_distance(spectrum, triangulation, 0)
     >>> exact = np.arccos((ball.points @ ball.points[0]).clip(-1, 1))
     >>> print(round(np.abs(distance - exact).mean(), 2))
     0.08

@@ -6,21 +6,6 @@
     sphere, torus, creature … ───┘      └──> sample ──> PointCloud ──> Laplacian
 
 Every step is optional and returns a new object; nothing is repaired, moved or scaled unasked.
-
->>> from spectra_kit.geometry import TriangleMesh, diagnose, normalize, repair, sample
->>> mesh = TriangleMesh(
-...     [[0, 0, 0], [900, 0, 0], [900, 900, 0], [0, 900, 0], [1, 2, 3]], [[0, 1, 2], [0, 2, 3]]
-... )
->>> print(*diagnose(mesh).problems)
-1 vertex has no face: mesh.without_unreferenced()
->>> repaired = repair(mesh)
->>> repaired.report.unreferenced_vertices, repaired.vertex_index
-(1, array([0, 1, 2, 3]))
->>> unit, normalization = normalize(repaired.geometry)
->>> unit.area, normalization.scale
-(1.0, 900.0)
->>> sample(unit, 1000, seed=0).points.shape
-(1000, 3)
 """
 
 from spectra_kit.geometry.adapt import as_geometry

@@ -46,10 +46,6 @@ def surface(points: Any, faces: Any) -> TriangleMesh:
 
     Faces of fewer than three corners beside proper ones, and NaN points that no face uses, are left
     out with a warning. (A table of four columns may be one of tetrahedra.)
-
-    >>> from spectra_kit.geometry.polygons import Polygons, surface
-    >>> surface([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], Polygons.of([[0, 1, 2, 3]]))
-    TriangleMesh(4 vertices, 2 faces)
     """
     if not isinstance(faces, Polygons):
         table: NDArray[Any] = as_array("faces", faces)
@@ -93,12 +89,6 @@ def triangulate(points: Floats, polygons: Polygons | Sequence[Sequence[int]] | I
 
     A triangle stays as it is; s corners make s - 2 triangles with all of them, or none where an
     outline runs back upon itself and encloses nothing.
-
-    >>> import numpy as np
-    >>> from spectra_kit.geometry.polygons import triangulate
-    >>> dart = np.array([[2.0, 0, 0], [0, 3, 0], [-2, 0, 0], [0, 1, 0]])
-    >>> triangulate(dart, [[0, 1, 2, 3]]).tolist()
-    [[3, 0, 1], [3, 1, 2]]
     """
     corners, sizes = polygons if isinstance(polygons, Polygons) else Polygons.of(polygons)
     corners = check_indices("faces", corners, len(points))

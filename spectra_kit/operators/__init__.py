@@ -1,11 +1,4 @@
-"""From a geometry to a discrete Laplacian: ``L u = lambda M u``, L positive semi-definite.
-
->>> from spectra_kit import robust_laplacian
->>> from spectra_kit.geometry import sphere
->>> laplacian = robust_laplacian(sphere(subdivisions=2).geometry)
->>> laplacian.n, laplacian.kernel_dimension
-(162, 1)
-"""
+"""From a geometry to a discrete Laplacian: ``L u = lambda M u``, L positive semi-definite."""
 
 from spectra_kit.operators.assemble import (
     cotan_laplacian,

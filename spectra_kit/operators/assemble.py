@@ -91,7 +91,7 @@ def robust_laplacian(
         each connected component. If there is such a triangle, all edges become longer by up to
         this share of that length, so details must not be so small.
     n_neighbors : int, default 30
-        Of a cloud, see `delaunay_laplacian`.
+        Of a cloud, see `intrinsic_delaunay`.
 
     Returns
     -------
@@ -107,23 +107,19 @@ def robust_laplacian(
 
     Notes
     -----
-    Meshes are handed to the library robust_laplacian. Its operator of clouds does not converge:
-    each triangle is found by three points, and it glues these copies to each other, which the edge
-    flips then deflate. The eigenvalues 2, 6, 12 of the unit sphere come out as 1.90, 5.69, 11.37 on
-    8,000 random directions (``default_rng(1).standard_normal``, normalised), 5 % low as they are on
-    2,000; those of `delaunay_laplacian` are 2.00, 5.99, 11.96. And it fits the plane of a point
-    around the sum of its k neighbours over k + 1, so its triangles depend on where the origin is:
-    of 32,000 directions it finds 64 % of the area, after a shift by (3, 3, 3) 98 %.
-
-    References
-    ----------
-    Sharp and Crane, *A Laplacian for Nonmanifold Triangle Meshes*, SGP 2020.
+    Meshes are handed to the library robust_laplacian (Sharp and Crane, *A Laplacian for Nonmanifold
+    Triangle Meshes*, SGP 2020). Its operator of clouds does not converge: each triangle is found by
+    three points, and it glues these copies to each other, which the edge flips then deflate. The
+    eigenvalues 2, 6, 12 of the unit sphere come out as 1.90, 5.69, 11.37 on 8,000 random directions
+    (``default_rng(1).standard_normal``, normalised), 5 % low as they are on 2,000; those of
+    `delaunay_laplacian` are 2.00, 5.99, 11.96. And it fits the plane of a point around the sum of
+    its k neighbours over k + 1, so its triangles depend on where the origin is: of 32,000
+    directions it finds 64 % of the area, after a shift by (3, 3, 3) 98 %.
 
     Examples
     --------
-    >>> from spectra_kit import robust_laplacian
-    >>> from spectra_kit.geometry import sphere
-    >>> laplacian = robust_laplacian(sphere(subdivisions=2).geometry)
+    >>> import spectra_kit as sk
+    >>> laplacian = sk.robust_laplacian(sk.geometry.sphere(subdivisions=2).geometry)
     >>> round(laplacian.area, 1)
     12.3
     """
@@ -166,10 +162,8 @@ def delaunay_laplacian(
     ----------
     geometry : TriangleMesh or PointCloud
         With n points.
-    mollify_factor : float, default 1e-5
-        Intrinsic mollification of (near) degenerate triangles, relative to their mean side.
-    n_neighbors : int, default 30
-        Of a cloud: candidates for the triangles of a point; see `intrinsic_delaunay`.
+    mollify_factor, n_neighbors
+        As of `intrinsic_delaunay`.
 
     Returns
     -------
@@ -179,11 +173,10 @@ def delaunay_laplacian(
 
     Examples
     --------
-    >>> from spectra_kit import delaunay_laplacian
-    >>> from spectra_kit.geometry import sphere
-    >>> mesh = sphere(subdivisions=3).geometry
-    >>> round(delaunay_laplacian(mesh).area, 2), round(delaunay_laplacian(mesh.as_cloud()).area, 2)
-    (12.51, 12.51)
+    >>> import spectra_kit as sk
+    >>> mesh = sk.geometry.sphere(subdivisions=3).geometry
+    >>> [round(sk.delaunay_laplacian(one).area, 2) for one in (mesh, mesh.as_cloud())]
+    [12.51, 12.51]
     """
     return intrinsic_delaunay(
         geometry, mollify_factor=mollify_factor, n_neighbors=n_neighbors
@@ -195,7 +188,8 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
     """Build the cotangent Laplacian with the mixed Voronoi mass, as libigl has it.
 
     Edge weights may be negative on obtuse triangles; prefer `robust_laplacian` unless you
-    need this one to compare with others.
+    need this one to compare with others. See Pinkall and Polthier, *Computing Discrete Minimal
+    Surfaces and Their Conjugates*, 1993.
 
     Parameters
     ----------
@@ -207,15 +201,10 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
     Laplacian
         Neumann, positive semi-definite (libigl's matrix with its sign turned).
 
-    References
-    ----------
-    Pinkall and Polthier, *Computing Discrete Minimal Surfaces and Their Conjugates*, 1993.
-
     Examples
     --------
-    >>> from spectra_kit import cotan_laplacian
-    >>> from spectra_kit.geometry import rectangle
-    >>> laplacian = cotan_laplacian(rectangle(n=100).geometry)
+    >>> import spectra_kit as sk
+    >>> laplacian = sk.cotan_laplacian(sk.geometry.rectangle(n=100).geometry)
     >>> laplacian.kernel_dimension
     1
     """
@@ -282,9 +271,8 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
 
     Examples
     --------
-    >>> from spectra_kit import knn_laplacian
-    >>> from spectra_kit.geometry import sphere
-    >>> laplacian = knn_laplacian(sphere(subdivisions=2).geometry)
+    >>> import spectra_kit as sk
+    >>> laplacian = sk.knn_laplacian(sk.geometry.sphere(subdivisions=2).geometry)
     >>> laplacian.kernel_dimension
     1
     """

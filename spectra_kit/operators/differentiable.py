@@ -2,10 +2,8 @@
 
 Eigenvalues depend on the points through the lengths of edges alone. Of a mode with ``u^T M u = 1``,
 ``d lambda = u^T (dL - lambda dM) u``: a sum over triangles, each of which is differentiated by its
-sides. Edge flips are taken back one by one, and so is what mollification added: sides of nearly
-degenerate triangles are lengthened until, at each corner, the two sides that meet exceed the third
-by a share of the mean side. `side_lengths` does this by corners of the mesh, the library
-robust_laplacian by connected components.
+sides. Edge flips are taken back one by one, and so is what mollification added: `side_lengths` has
+it by corners of the mesh, the library robust_laplacian by connected components.
 """
 
 from __future__ import annotations

@@ -52,9 +52,8 @@ class IntrinsicTriangulation(Rebuilt):
 
     Examples
     --------
-    >>> from spectra_kit import intrinsic_delaunay
-    >>> from spectra_kit.geometry import sphere
-    >>> triangulation = intrinsic_delaunay(sphere(subdivisions=3).geometry)
+    >>> import spectra_kit as sk
+    >>> triangulation = sk.intrinsic_delaunay(sk.geometry.sphere(subdivisions=3).geometry)
     >>> height = triangulation.points[:, 2]
     >>> energy = height @ triangulation.divergence(triangulation.gradient(height))
     >>> print(round(energy, 2), round(height @ triangulation.laplacian.stiffness @ height, 2))
@@ -166,7 +165,8 @@ def intrinsic_delaunay(
     ----------
     geometry : TriangleMesh or PointCloud
         With n points. A mesh may have any edges (non-manifold, of inconsistent winding, on a
-        boundary), slivers, and copies of triangles, which count as often as they are there.
+        boundary), slivers, and copies of triangles, which count as often as they are there; each
+        vertex has a face. Points of a cloud are distinct, and not all on one line.
     mollify_factor : float, default 1e-5
         Intrinsic mollification of (near) degenerate triangles, relative to their mean side.
     n_neighbors : int, default 30
@@ -183,10 +183,6 @@ def intrinsic_delaunay(
 
     Raises
     ------
-    InvalidInputError
-        If a vertex of a mesh belongs to no face, a face repeats a vertex, or all vertices are at
-        one point; if points of a cloud coincide, lie on one line, are fewer than four, or one is
-        in no triangle; if `mollify_factor` is so small that a triangle has no area.
     ConvergenceError
         If the edge flips do not end, which rounding could do to a degenerate geometry; none is
         known.
@@ -211,9 +207,8 @@ def intrinsic_delaunay(
 
     Examples
     --------
-    >>> from spectra_kit import intrinsic_delaunay
-    >>> from spectra_kit.geometry import rectangle
-    >>> triangulation = intrinsic_delaunay(rectangle(n=100).geometry)
+    >>> import spectra_kit as sk
+    >>> triangulation = sk.intrinsic_delaunay(sk.geometry.rectangle(n=100).geometry)
     >>> round(triangulation.area, 3), len(triangulation.boundary)
     (1.618, 36)
     """

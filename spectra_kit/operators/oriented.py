@@ -2,10 +2,6 @@
 
 The Laplacian does not know which side of the surface is outside, so its spectrum is that of the
 mirror image, too. The area form ``T[a, b, c] = integral of f_a df_b ^ df_c`` does: it changes sign.
-
-Each point of a cloud triangulates its own neighbourhood, counter-clockwise in a tangent frame of
-either hand. Where two such local triangulations contain the same triangle, its winding in both says
-whether they agree: that needs no normals, and does not mind sharp edges.
 """
 
 from __future__ import annotations
@@ -114,7 +110,7 @@ def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> Oriented
         it is told where no turning makes faces agree, as on a Möbius strip, and `consistent` is
         below 1.
     n_neighbors : int, default 30
-        Of a cloud: candidates for the triangles of a point, as in `delaunay_laplacian`.
+        Of a cloud: candidates for the triangles of a point, as in `intrinsic_delaunay`.
 
     Returns
     -------
@@ -130,17 +126,17 @@ def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> Oriented
 
     Notes
     -----
-    Points of a cloud whose triangulations share triangles vote for one side by the windings of
-    these, which sharp edges do not disturb as they do the votes of normals (Hoppe et al. 1992), and
-    groups that agree vote together. Parts that came out inside out are found by their winding
+    Each point of a cloud triangulates its neighbourhood in a tangent frame of either hand. Points
+    whose triangulations share triangles vote for one side by the windings of these, which sharp
+    edges do not disturb as they do the votes of normals (Hoppe et al. 1992), and groups that agree
+    vote together. Parts that came out inside out are found by their winding
     number (Barill et al. 2018). Where sheets are about as near to each other as the points of one,
     as in the hands of a coarse body, some triangles bridge them and `consistent` falls below 1;
     sheets a good deal nearer are taken for one, and it does not.
 
     Examples
     --------
-    >>> from spectra_kit import TriangleMesh
-    >>> from spectra_kit.geometry import sphere
+    >>> from spectra_kit.geometry import TriangleMesh, sphere
     >>> from spectra_kit.operators import area_form, oriented_triangles
     >>> mesh = sphere(subdivisions=3).geometry
     >>> inside_out = TriangleMesh(mesh.points, mesh.faces[:, ::-1])

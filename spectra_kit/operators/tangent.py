@@ -45,7 +45,7 @@ def tangent_gradient(
     geometry : TriangleMesh or PointCloud
         With n points. Windings of faces do not matter, unless frames are to be oriented.
     n_neighbors : int, default 30
-        Of a cloud: candidates for the triangles of a point, as in `delaunay_laplacian`.
+        Of a cloud: candidates for the triangles of a point, as in `intrinsic_delaunay`.
     oriented : bool, default False
         Let normals point outwards, as `oriented_triangles` tells; the second axes turn with them.
         For what tells a surface from its mirror image, as gradients that a network turns in their
