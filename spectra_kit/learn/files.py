@@ -90,7 +90,7 @@ def load_labeller(path: str | os.PathLike[str]) -> Classifier | Segmenter:
     ------
     InvalidFileError
         If the file is damaged, or was not written by `save_labeller`. Those of release 0.2.0 have
-        no checksum, and are read without one.
+        no checksum, and are refused where they name a class that was renamed since.
     MissingDependencyError
         Without the packages that its method needs.
 

@@ -107,7 +107,7 @@ class ShapeIndex(Brief):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> ShapeIndex:
-        """Read what `save` wrote; files of release 0.2.0, which have no checksum, too."""
+        """Read what `save` wrote; of release 0.2.0, files that name no class renamed since."""
 
         def made(content: dict[str, Any], tensors: dict[str, Tensor]) -> ShapeIndex:
             names, digests = map(files.from_json, (content["names"], content["digests"]))
