@@ -7,7 +7,6 @@ import sys
 import time
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -451,7 +450,7 @@ def test_an_animal_stands_on_its_feet_and_comes_with_its_head(seed, up):
 @pytest.mark.data
 def test_most_animals_that_lie_on_their_backs_are_turned_over(real_shapes):
     # SMAL's feet point along y.
-    folder = real_shapes / "smal_r"
+    folder = real_shapes.parent / "smal_r"
     upright = []
     for path in sorted(folder.glob("*.npz")):
         with np.load(path) as data:
