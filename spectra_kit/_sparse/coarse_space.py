@@ -23,6 +23,7 @@ _KERNEL = 1e-12  # share of the largest diagonal entry of A below which an energ
 
 
 def check_basis(basis: ArrayLike, kind: np.dtype[np.floating]) -> NDArray[Any]:
+    """Return columns (n, k) as a finite C-ordered array of a kind, or refuse them."""
     array = np.asarray(basis)
     if array.ndim != 2 or array.shape[1] == 0 or array.shape[0] < array.shape[1]:
         raise InvalidInputError(
