@@ -175,7 +175,6 @@ class Clouds(Study[Path, str]):
         }
 
     def facts(self, contender: Path, problem: str) -> dict[str, object]:
-        """See `Study`."""
         weights = load_pretrained(contender).sha256
         return {"weights": weights, "set": problem, **self.inputs}
 
@@ -286,7 +285,6 @@ def _line(name: str, row: Record) -> Record:
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the study."""
     add = parser.add_argument
     add("corpus", type=Path, help="folder of shards")
     add("validation", type=Path, help="folder of shards, other samples")

@@ -101,14 +101,12 @@ def measure_page(page: Path, steps: int) -> Record:
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the study."""
     add = parser.add_argument
     add("page", type=Path, metavar="HTML", help="as `spectra-kit explore` writes it")
     add("--steps", type=int, default=30, help="of the slider (%(default)s)")
 
 
 def measure(args: argparse.Namespace) -> None:
-    """Measure and report."""
     check_count("steps", args.steps, low=1)
     found = measure_page(args.page, args.steps)
     rows = [
@@ -118,7 +116,6 @@ def measure(args: argparse.Namespace) -> None:
     ]
     rows.append({"milliseconds": "opened", "median": found["opened"], "most": found["opened"]})
     columns = {"milliseconds": "", "median": ".0f", "most": ".0f"}
-    args.out.mkdir(parents=True, exist_ok=True)
     megabytes = args.page.stat().st_size / 1e6
     table = Table(f"A page of {megabytes:.1f} MB", rows, columns)
     write_report(args.out, "explorer", [], [table], describe_machine(), found=found)

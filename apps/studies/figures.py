@@ -1,11 +1,13 @@
-"""Figures of measurements: panels of lines, and errors against seconds with the Pareto front.
+"""Figures of measurements: panels of lines.
 
 Matplotlib is imported when one is drawn: processes that measure need none.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,53 +15,30 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spectra_kit._core.files import atomic_path
-from spectra_kit.show import Page
-from spectra_kit.show.layout import LINE_COLOURS
-from studies.plots import ParetoPoint, pareto_front, plot_pareto
+from spectra_kit.errors import MissingDependencyError
+from spectra_kit.show.layout import LINE_COLOURS, tidy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Errors below are rounding: as good as each other.
-ROUNDING = 1e-12
 _DASHES = ("-", "--", ":", "-.")
 # They tell the second round of colours from the first.
 _MARKERS = "osD^v<>PX"
 _DPI = 150
 
 
-def undominated(points: Iterable[ParetoPoint], *, floor: float = ROUNDING) -> set[str]:
-    """Return the names of what nothing in its league beats in both time and error."""
-    leagues: dict[str, list[ParetoPoint]] = {}
-    for point in points:
-        leagues.setdefault(point.league, []).append(point)
-    return {best.name for one in leagues.values() for best in pareto_front(one, floor=floor)}
-
-
-def draw_pareto(
-    path: Path, points: Sequence[ParetoPoint], *, title: str = "", **options: Any
-) -> Path:
-    """Draw errors against seconds and a front for each league; see `plots.plot_pareto`."""
-    plot_pareto(points, path=path, floor=ROUNDING, page=Page(title, dpi=_DPI), **options)
-    return path
-
-
-def panels(title: str, count: int = 1, *, width: float = 0.0) -> tuple[Figure, list[Axes]]:
+def panels(
+    title: str, count: int = 1, *, size: tuple[float, float] | None = None
+) -> tuple[Figure, list[Axes]]:
     """Return a white page with its title and so many tidy axes beside each other."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(
-        figsize=(width or (12 if count > 1 else 8), 4.4), facecolor="white", layout="constrained"
-    )
-    FigureCanvasAgg(figure)
-    axes = [figure.add_subplot(1, count, i + 1) for i in range(count)]
+    size = size or (12 if count > 1 else 8, 4.4)
+    figure = Figure(figsize=size, facecolor="white", layout="constrained")
+    axes = list(figure.subplots(1, count, squeeze=False)[0])
     for panel in axes:
-        panel.grid(color="0.92", lw=0.7)
-        panel.set_axisbelow(True)
-        panel.spines[["top", "right"]].set_visible(False)
-        panel.tick_params(labelsize=9)
+        tidy(panel)
     figure.suptitle(title, fontsize=11, fontweight="bold", x=0.01, ha="left")
     return figure, axes
 
@@ -87,24 +66,32 @@ def band(panel: Axes, x: ArrayLike, values: ArrayLike, label: str, **style: Any)
     panel.fill_between(np.asarray(x), low, high, color=style.get("color"), alpha=0.15, lw=0)
 
 
-def ticks(panel: Axes, values: Iterable[float], names: Iterable[str] | None = None) -> None:
+def ticks(panel: Axes, values: Iterable[float]) -> None:
     """Put the ticks of a logarithmic axis of x where something was measured."""
     found = sorted(set(values))
     panel.set_xscale("log")
-    panel.set_xticks(found, [f"{value:,g}" for value in found] if names is None else list(names))
+    panel.set_xticks(found, [f"{value:,g}" for value in found])
     panel.xaxis.minorticks_off()
 
 
-def legend(figure: Figure, panel: Axes, *, beside: bool = False) -> None:
-    """Name the lines of a panel below the page, or beside it."""
-    handles, names = panel.get_legend_handles_labels()
-    look: dict[str, Any] = {"fontsize": 8, "frameon": False, "ncols": 1 if beside else 3}
-    look["loc"] = "outside right center" if beside else "outside lower center"
-    figure.legend(handles, names, **look)
+def legend(figure: Figure, panel: Axes) -> None:
+    """Name the lines of a panel below the page."""
+    named = panel.get_legend_handles_labels()
+    figure.legend(*named, fontsize=8, frameon=False, ncols=3, loc="outside lower center")
+
+
+@contextmanager
+def unless_missing(what: str) -> Iterator[None]:
+    """Tell what is not drawn, where a package for it is missing."""
+    try:
+        yield
+    except MissingDependencyError as error:
+        print(f"{what} not drawn: {error}", file=sys.stderr)
 
 
 def save(figure: Figure, path: Path) -> Path:
     """Write a figure, whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_path(path) as part:
         figure.savefig(part, dpi=_DPI)
     return path

@@ -38,7 +38,6 @@ _COLUMNS = {
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the study."""
     add = parser.add_argument
     add("--sizes", type=int, nargs="+", default=[512, 2048, 8192], help="points of a cloud")
     add("--count", type=int, default=16, help="shapes of each size (%(default)s)")
@@ -49,7 +48,6 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def measure(args: argparse.Namespace) -> None:
-    """Measure and report."""
     for name in ("count", "repeats"):
         check_count(name, getattr(args, name), low=1)
     solver = Neo(device=args.device)
@@ -76,7 +74,6 @@ def measure(args: argparse.Namespace) -> None:
         rows += _compared(size, ways, args.repeats, assembly)
     device = "cuda" if args.device.startswith("cuda") else "cpu"
     machine = describe_machine(threads=thread_count(), device=device)
-    args.out.mkdir(parents=True, exist_ok=True)
     write_report(args.out, "many", [], [Table("Shapes a second", rows, _COLUMNS)], machine)
 
 

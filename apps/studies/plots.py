@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from spectra_kit._core.types import Floats
-from spectra_kit._core.validate import check_positive
-from spectra_kit.errors import InvalidInputError
 from spectra_kit.show.layout import Page, line_style, log_ticks, new_diagram, tidy
 from spectra_kit.show.picture import PathLike, plotted
 
@@ -18,6 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+#: Errors below are rounding: as good as each other.
+ROUNDING = 1e-12
 _WIDTH, _HEIGHT = 8.4, 5.2  # inches
 _MARKERS = "osD^vP*Xp"
 _INK: dict[str, Any] = {"fontsize": 8, "color": "0.2", "parse_math": False}
@@ -31,79 +31,37 @@ _OVERLAP, _COVERED, _CROSSED, _OUTSIDE = 40.0, 60.0, 8.0, 1e4  # costs, of one p
 
 @dataclass(frozen=True, kw_only=True)
 class ParetoPoint:
-    """One run of one method: its seconds, and its error.
+    """One run of one method: its seconds, and its error."""
 
-    Attributes
-    ----------
-    name : str
-        Written beside its dot.
-    group : str
-        Points of one group share a colour and a marker.
-    seconds : float
-        Positive.
-    error : float
-        Not negative.
-    league : str, default ""
-        Points of one league share a front: a processor, for example.
-    worst : tuple of (float, float), optional
-        Seconds and error of the worst case, where these are means: a bar leads to each. Neither
-        may be below its mean.
-
-    Raises
-    ------
-    InvalidInputError
-        If `seconds` is not positive, `error` negative or not finite, or `worst` below them.
-    """
-
-    name: str
-    group: str
+    name: str  #: Written beside its dot.
+    group: str  #: Points of one group share a colour and a marker.
     seconds: float
     error: float
-    league: str = ""
+    league: str = ""  #: Points of one league share a front: a processor, for example.
+    #: Seconds and error of the worst case, where these are means: a bar leads to each.
     worst: tuple[float, float] | None = None
 
-    def __post_init__(self) -> None:
-        check_positive("seconds", self.seconds)
-        if not (np.isfinite(self.error) and self.error >= 0):
-            raise InvalidInputError("error", "be finite and >= 0", repr(self.error))
-        least = np.array([self.seconds, self.error])
-        if self.worst is not None and not (
-            np.isfinite(self.worst).all() and (np.array(self.worst) >= least).all()
-        ):
-            wanted = f"be finite seconds >= {self.seconds:g} and an error >= {self.error:g}"
-            raise InvalidInputError("worst", wanted, repr(self.worst))
+    @property
+    def place(self) -> tuple[float, float]:
+        """Seconds and error, where it is drawn."""
+        return self.seconds, max(self.error, ROUNDING)
 
 
-def pareto_front(points: Sequence[ParetoPoint], *, floor: float = 0.0) -> list[ParetoPoint]:
-    """Return the points that no other one beats in both time and error.
-
-    Parameters
-    ----------
-    points : sequence of ParetoPoint
-        In any order.
-    floor : float, default 0
-        Smaller errors count as this.
-
-    Returns
-    -------
-    list of ParetoPoint
-        Fastest first, each with less error than the one before.
-
-    Examples
-    --------
-    >>> from studies.plots import ParetoPoint, pareto_front
-    >>> runs = [
-    ...     ParetoPoint(name=name, group="", seconds=seconds, error=error)
-    ...     for name, seconds, error in (("a", 1, 0.1), ("b", 2, 0.2), ("c", 3, 0.01))
-    ... ]
-    >>> [run.name for run in pareto_front(runs)]
-    ['a', 'c']
-    """
+def pareto_front(points: Iterable[ParetoPoint]) -> list[ParetoPoint]:
+    """Return the points that no other one beats in both time and error, the fastest first."""
     front: list[ParetoPoint] = []
-    for point in sorted(points, key=lambda p: (p.seconds, max(p.error, floor))):
-        if not front or max(point.error, floor) < max(front[-1].error, floor):
+    for point in sorted(points, key=lambda p: p.place):
+        if not front or point.place[1] < front[-1].place[1]:
             front.append(point)
     return front
+
+
+def fronts(points: Iterable[ParetoPoint]) -> list[list[ParetoPoint]]:
+    """Return the front of each league."""
+    leagues: dict[str, list[ParetoPoint]] = {}
+    for point in points:
+        leagues.setdefault(point.league, []).append(point)
+    return [pareto_front(one) for one in leagues.values()]
 
 
 @plotted
@@ -112,70 +70,35 @@ def plot_pareto(
     *,
     path: PathLike | None = None,
     page: Page = Page(),
-    floor: float = 1e-12,
-    marks: Mapping[str, float] | None = None,
     xlabel: str = "seconds",
     ylabel: str = "error",
 ) -> Figure:
     """Draw error against time, both logarithmic, and the front that nothing beats.
 
-    Parameters
-    ----------
-    points : sequence of ParetoPoint
-        At least one.
-    $path
-    $page
-    floor : float, default 1e-12
-        Smaller errors are drawn here as hollow dots, on a grey ground: they are rounding.
-    marks : mapping of str to float, optional
-        Seconds of what has no error to compare, such as the exact solver, as lines with a name.
-    xlabel, ylabel : str
-        Of the axes.
-
-    $returns
-
-    Notes
-    -----
-    A bar leads from the dot of a mean to its worst, in time and in error. The steps of the front,
-    of the dots alone, say which error can be had within a time: to the left of its first dot
-    none. Each league has its own front.
-
-    Examples
-    --------
-    >>> from spectra_kit.show import Page
-    >>> from studies.plots import ParetoPoint, plot_pareto
-    >>> runs = [
-    ...     ParetoPoint(name="quick", group="ours", seconds=0.1, error=1e-2),
-    ...     ParetoPoint(name="exact", group="theirs", seconds=2.0, error=1e-9),
-    ... ]
-    >>> plot_pareto(runs, page=Page(dpi=40))
-    Picture(path=None)
+    Errors that are rounding are hollow dots on a grey ground. A bar leads from the dot of a mean to
+    its worst, in time and in error. The steps of the front, of the dots alone, say which error can
+    be had within a time: to the left of its first dot none. Each league has its own front.
     """
-    if not points:
-        raise InvalidInputError("points", "hold at least one ParetoPoint", "none")
-    check_positive("floor", floor)
-    marks = {name: check_positive("marks", seconds) for name, seconds in (marks or {}).items()}
     figure = new_diagram(page, _WIDTH, _HEIGHT)
     panel = figure.add_subplot(xlabel=xlabel, ylabel=ylabel)
     ends = np.array([p.worst or (p.seconds, p.error) for p in points])
-    ends[:, 1] = np.maximum(ends[:, 1], floor)
-    times, errors = np.vstack([_places(points, floor), ends]).T
+    ends[:, 1] = np.maximum(ends[:, 1], ROUNDING)
+    times, errors = np.vstack([_places(points), ends]).T
     panel.set(
         xscale="log",
         yscale="log",
-        xlim=_limits([*times, *marks.values()], right=0.16),
+        xlim=_limits(times, right=0.16),
         ylim=_limits(errors, right=0.1),
     )
     tidy(panel)
     lines = []
-    for league in dict.fromkeys(p.league for p in points):
-        front = pareto_front([p for p in points if p.league == league], floor=floor)
-        lines.append(_steps(front, floor, panel.get_xlim()[1]))
+    for front in fronts(points):
+        lines.append(_steps(front, panel.get_xlim()[1]))
         told = None if lines[1:] else "nothing is both faster and better"
         panel.plot(*lines[-1].T, color="0.72", lw=2.0, zorder=1, label=told)
     for i, group in enumerate(dict.fromkeys(p.group for p in points)):
         here = [p.group == group for p in points]
-        least = _places(points, floor)[here]
+        least = _places(points)[here]
         (x, y), (slow, far) = least.T, ends[here].T
         if np.any(slow > x) or np.any(far > y):
             bars: dict[str, Any] = {"xerr": [0 * x, slow - x], "yerr": [0 * y, far - y]}
@@ -185,15 +108,10 @@ def plot_pareto(
         style: dict[str, Any] = {"color": line_style(i)[0], "marker": _MARKERS[i % len(_MARKERS)]}
         style |= {"ls": "", "ms": 7, "mec": "white", "mew": 0.8, "label": group, "zorder": 3}
         panel.plot(*least.T, **style)
-    if rounded := [p for p in points if p.error <= floor]:
-        panel.plot(*_places(rounded, floor).T, ls="", marker="o", ms=3.4, color="white", zorder=3)
-        told = f"hollow: {floor:.2g} or less, rounding"
-        panel.axhspan(panel.get_ylim()[0], floor, color="0.92", lw=0, zorder=0, label=told)
-    for name, seconds in marks.items():
-        panel.axvline(seconds, color="0.45", ls=(0, (4, 2)), lw=1.1, zorder=0)
-        place: dict[str, Any] = {"transform": panel.get_xaxis_transform(), "va": "top"}
-        panel.text(seconds, 0.985, f"{name} ", rotation=90, ha="right", **_INK, **place)
-        lines.append(np.column_stack([[seconds] * 2, panel.get_ylim()]))
+    if rounded := [p for p in points if p.error <= ROUNDING]:
+        panel.plot(*_places(rounded).T, ls="", marker="o", ms=3.4, color="white", zorder=3)
+        told = f"hollow: {ROUNDING:.2g} or less, rounding"
+        panel.axhspan(panel.get_ylim()[0], ROUNDING, color="0.92", lw=0, zorder=0, label=told)
     log_ticks(panel.xaxis, plain=True)
     log_ticks(panel.yaxis)
     handles, names = panel.get_legend_handles_labels()
@@ -203,20 +121,18 @@ def plot_pareto(
         *([*handles[1:], handles[0]], [*names[1:], names[0]]), fontsize=9, frameon=False, **style
     )
     figure.draw_without_rendering()  # now the axes are where they will be
-    _write_names(panel, points, floor, lines)
+    _write_names(panel, points, lines)
     return figure
 
 
-def _write_names(
-    panel: Axes, points: Sequence[ParetoPoint], floor: float, lines: Sequence[Floats]
-) -> None:
+def _write_names(panel: Axes, points: Sequence[ParetoPoint], lines: Sequence[Floats]) -> None:
     """Write the names where they cover neither each other nor a dot, nor a line if possible."""
     unit = panel.figure.dpi / 72  # pixels in a point
 
     def on_page(places: Floats) -> Floats:
         return np.asarray(panel.transData.transform(places) / unit)
 
-    places = _places(points, floor)
+    places = _places(points)
     offset: dict[str, Any] = {"textcoords": "offset points"}
     texts = [
         panel.annotate(p.name, xy=at, xytext=(0, 0), va="bottom", zorder=4, **_INK, **offset)
@@ -233,15 +149,15 @@ def _write_names(
             panel.annotate("", xy=place, xytext=tuple(nearest), arrowprops=tie, **offset)
 
 
-def _steps(front: Sequence[ParetoPoint], floor: float, end: float) -> Floats:
+def _steps(front: Sequence[ParetoPoint], end: float) -> Floats:
     """Corners of the least error that can be had within a time, up to `end`: (c, 2)."""
-    seconds, errors = np.repeat(_places(front, floor), 2, axis=0).T
+    seconds, errors = np.repeat(_places(front), 2, axis=0).T
     return np.column_stack([np.append(seconds[1:], end), errors])
 
 
-def _places(points: Sequence[ParetoPoint], floor: float) -> Floats:
+def _places(points: Sequence[ParetoPoint]) -> Floats:
     """Seconds and errors, (p, 2)."""
-    return np.array([(p.seconds, max(p.error, floor)) for p in points])
+    return np.array([p.place for p in points])
 
 
 def _limits(values: Sequence[float], *, right: float) -> tuple[float, float]:

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from spectra_kit._core.fingerprint import arrays_digest
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import (
     GaussianDensity,
@@ -25,10 +24,18 @@ from spectra_kit.geometry import (
     PointCloud,
     TriangleMesh,
     creature,
-    repair,
     sample,
 )
-from studies.shapes import Shape, data_folder, shape_at
+from spectra_kit.neo.train.pool import open_pool
+from studies.shapes import (
+    Shape,
+    as_mesh,
+    data_folder,
+    loop_subdivided,
+    mean_edge,
+    repaired,
+    shape_at,
+)
 
 _SIGMA = 0.25  # of the diagonal: an uneven cloud is eight times denser here than half of it away
 _PART_FACES = 500  # at least, of a drawn part
@@ -94,12 +101,6 @@ class Recipe:
         return geometry
 
 
-def geometry_digest(geometry: Geometry) -> str:
-    """Hash of points and faces."""
-    faces = [geometry.faces] if isinstance(geometry, TriangleMesh) else []
-    return arrays_digest(geometry.points, *faces)
-
-
 # --- steps ---
 
 
@@ -108,26 +109,19 @@ def _midpoint(mesh: Geometry, times: float, rng: np.random.Generator) -> Geometr
     import trimesh
 
     subdivide: Any = trimesh.remesh.subdivide
-    assert isinstance(mesh, TriangleMesh)
-    points, faces = mesh.points, mesh.faces
+    points, faces = mesh.points, as_mesh(mesh).faces
     for _ in range(int(times)):
         points, faces = subdivide(points, faces)
     return TriangleMesh(points, faces)
 
 
 def _loop(mesh: Geometry, times: float, rng: np.random.Generator) -> Geometry:
-    """Split every triangle in four and smooth, after Loop."""
-    import trimesh
-
-    subdivide: Any = trimesh.remesh.subdivide_loop
-    assert isinstance(mesh, TriangleMesh)
-    return TriangleMesh(*subdivide(mesh.points, mesh.faces, iterations=int(times)))
+    return loop_subdivided(as_mesh(mesh), int(times))
 
 
 def _graded(mesh: Geometry, times: float, rng: np.random.Generator) -> Geometry:
     """Split at its centroid each triangle of the third of the surface next to a random vertex."""
-    assert isinstance(mesh, TriangleMesh)
-    points, faces = mesh.points, mesh.faces
+    points, faces = mesh.points, as_mesh(mesh).faces
     centre = points[rng.integers(len(points))]
     for _ in range(int(times)):
         centroids = points[faces].mean(axis=1)
@@ -150,8 +144,7 @@ def _noise(geometry: Geometry, share: float, rng: np.random.Generator) -> Geomet
     """Move every point at random, by that share of the mean edge or distance of neighbours."""
     points = geometry.points
     if isinstance(geometry, TriangleMesh):
-        a, b = points[geometry.unique_edges[0]].transpose(1, 0, 2)
-        spacing = np.linalg.norm(a - b, axis=1).mean()
+        spacing = mean_edge(geometry)
     else:
         spacing = cKDTree(points).query(points, k=2)[0][:, 1].mean()
     moved = points + share * spacing * rng.standard_normal(points.shape)
@@ -160,16 +153,14 @@ def _noise(geometry: Geometry, share: float, rng: np.random.Generator) -> Geomet
 
 def _sample(mesh: Geometry, count: float, rng: np.random.Generator) -> PointCloud:
     """Draw so many points uniformly, in no order."""
-    assert isinstance(mesh, TriangleMesh)
-    return sample(mesh, int(count), seed=int(rng.integers(2**31)))
+    return sample(as_mesh(mesh), int(count), seed=int(rng.integers(2**31)))
 
 
 def _uneven(mesh: Geometry, count: float, rng: np.random.Generator) -> PointCloud:
     """Draw so many points, denser around one spot; half of them uniformly, so that none is bare."""
-    assert isinstance(mesh, TriangleMesh)
     even = int(count) // 2
     dense = sample(
-        mesh,
+        as_mesh(mesh),
         int(count) - even,
         seed=int(rng.integers(2**31)),
         density=GaussianDensity(sigma=_SIGMA),
@@ -216,7 +207,7 @@ def _meshes(source: str, rng: np.random.Generator) -> list[TriangleMesh]:
 
 def _parts(count: int, rng: np.random.Generator) -> list[TriangleMesh]:
     """Draw connected meshes of the pool's validation split, without replacement."""
-    manifest, *_ = paths = _files(_POOL)
+    manifest = _files(_POOL)[0]
     with manifest.open(newline="") as file:
         rows = [
             row
@@ -227,19 +218,8 @@ def _parts(count: int, rng: np.random.Generator) -> list[TriangleMesh]:
             and int(row["n_faces"]) >= _PART_FACES
         ]
     drawn = [rows[i] for i in rng.choice(len(rows), count, replace=False)]
-    places = {path.name: path for path in paths}
-    return [_part(places[row["chunk"]], int(row["index_in_chunk"])) for row in drawn]
-
-
-def _part(chunk: Path, i: int) -> TriangleMesh:
-    with np.load(chunk) as file:
-        v, f = file["voff"][i : i + 2], file["foff"][i : i + 2]
-        mesh = TriangleMesh(
-            file["V"][slice(*v)].astype(float), file["F"][slice(*f)].astype(np.int64)
-        )
-    repaired = repair(mesh).geometry
-    assert isinstance(repaired, TriangleMesh)
-    return repaired
+    pool = open_pool(manifest.parent, "val")
+    return [repaired(pool.mesh(pool.names.index(row["id"]))) for row in drawn]
 
 
 def _side_by_side(meshes: Sequence[TriangleMesh], rng: np.random.Generator) -> TriangleMesh:
@@ -317,10 +297,8 @@ def model_sources() -> tuple[str, ...]:
 def real_meshes(names: Iterable[str] = REAL) -> tuple[Shape, ...]:
     """Make members of the set that are meshes, without those whose data are missing."""
     members = [REAL[name] for name in names]
-    found = []
-    for member in members:
-        if member.kind == "mesh" and not member.missing:
-            mesh = member.make()
-            assert isinstance(mesh, TriangleMesh)
-            found.append(Shape(member.name, mesh))
-    return tuple(found)
+    return tuple(
+        Shape(member.name, as_mesh(member.make()))
+        for member in members
+        if member.kind == "mesh" and not member.missing
+    )

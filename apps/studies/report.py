@@ -6,7 +6,6 @@ What the figures mean is told by hand, in the docstring of each study and in doc
 from __future__ import annotations
 
 import csv
-import io
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -57,15 +56,20 @@ def write_report(
     what failed and why, and the machine; the JSON also what else is told.
     """
     measured, shown = list(results), [table for table in tables if table.rows]
+    folder.mkdir(parents=True, exist_ok=True)
     failed = failures(measured)
     write_csv(folder / f"{name}.csv", [tidy(result) for result in measured])
     record = {"machine": machine, **told, "tables": {t.title: t.rows for t in shown}}
-    write_json(folder / f"{name}.json", {**record, "failed": failed})
+    with atomic_path(folder / f"{name}.json") as part:
+        part.write_text(json.dumps(plain({**record, "failed": failed}), indent=1) + "\n")
     parts = [f"# {name}", machine_line(machine)]
     for table in (*shown, Table("Not measured", failed, dict.fromkeys(_FAILED, ""))):
-        parts += [f"## {table.title}", str(table)] if table.rows else []
+        if table.rows:
+            parts += [f"## {table.title}", str(table)]
     links = [path.relative_to(folder) for path in figures]
-    path = write_markdown(folder / f"{name}.md", [*parts, *(f"![{x.stem}]({x})" for x in links)])
+    path = folder / f"{name}.md"
+    with atomic_path(path) as part:
+        part.write_text("\n\n".join([*parts, *(f"![{x.stem}]({x})" for x in links)]) + "\n")
     print(path.read_text())
     print("written:", path, *(folder / link for link in links), sep="\n  ", flush=True)
     return path
@@ -146,34 +150,17 @@ def aligned(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join([text(lines[0]), text(rule), *map(text, lines[1:])])
 
 
-def write_markdown(path: Path, parts: Iterable[str]) -> Path:
-    """Write paragraphs, those that are empty left out."""
-    with atomic_path(path) as part:
-        part.write_text("\n\n".join(part for part in parts if part) + "\n")
-    return path
-
-
-def write_json(path: Path, record: Mapping[str, Any]) -> Path:
-    """Write a record; dataclasses and arrays become JSON, NaN and infinity null."""
-    with atomic_path(path) as part:
-        part.write_text(json.dumps(plain(record), indent=1, allow_nan=False) + "\n")
-    return path
-
-
-def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
+def write_csv(path: Path, rows: Sequence[Record]) -> None:
     """Write rows, with all columns that any of them has."""
-    text = io.StringIO()
     columns = list(dict.fromkeys(name for row in rows for name in row))
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    with atomic_path(path) as part:
-        part.write_text(text.getvalue())
-    return path
+    with atomic_path(path) as part, part.open("w", newline="") as file:
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON has it."""
+    """Return a value as JSON has it: records for dataclasses, null for NaN and infinity."""
     if is_dataclass(value) and not isinstance(value, type):
         value = asdict(value)
     if isinstance(value, Mapping):

@@ -7,14 +7,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import sparse
 
 from spectra_kit._core.files import atomic_path, parsing
-from spectra_kit._core.fingerprint import arrays_digest
+from spectra_kit._core.fingerprint import shape_digest
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import TriangleMesh, creature, read, repair
+from spectra_kit.geometry import Geometry, TriangleMesh, creature, read, repair
 from spectra_kit.geometry.io import READERS
 from spectra_kit.operators import Laplacian
 
@@ -32,7 +33,7 @@ class Shape:
     @cached_property
     def digest(self) -> str:
         """Hash of the mesh: what it is, wherever its file lies."""
-        return arrays_digest(self.mesh.points, self.mesh.faces)
+        return shape_digest(self.mesh)
 
 
 def data_folder(name: str) -> Path | None:
@@ -41,9 +42,44 @@ def data_folder(name: str) -> Path | None:
     return Path(root) / name if root else None
 
 
+def given_folder(given: Path | None, name: str) -> Path:
+    """Return the folder that is given, or the one of that name in ``$SPECTRA_KIT_DATA``."""
+    folder = given or data_folder(name)
+    if folder is None:
+        raise InvalidInputError(
+            f"name a folder with --data, or set SPECTRA_KIT_DATA to that of {name}"
+        )
+    return folder
+
+
+def repaired(geometry: Geometry) -> TriangleMesh:
+    """Return a mesh without duplicate vertices and degenerate faces."""
+    return as_mesh(repair(geometry).geometry)
+
+
+def as_mesh(geometry: Geometry) -> TriangleMesh:
+    """Return a geometry that is a mesh, as it was made of one."""
+    assert isinstance(geometry, TriangleMesh)
+    return geometry
+
+
+def mean_edge(mesh: TriangleMesh) -> float:
+    """Return the mean length of the edges."""
+    a, b = mesh.points[mesh.unique_edges[0]].transpose(1, 0, 2)
+    return float(np.linalg.norm(a - b, axis=1).mean())
+
+
+def loop_subdivided(mesh: TriangleMesh, times: int = 1) -> TriangleMesh:
+    """Split every triangle in four and smooth, after Loop."""
+    import trimesh
+
+    subdivide: Any = trimesh.remesh.subdivide_loop
+    return TriangleMesh(*subdivide(mesh.points, mesh.faces, iterations=times))
+
+
 def shape_at(path: Path) -> Shape:
-    """Read a mesh and repair it: no duplicate vertices, no degenerate faces."""
-    return Shape(path.stem, _mesh(repair(read(path, kind="mesh")).geometry))
+    """Read a mesh and repair it."""
+    return Shape(path.stem, repaired(read(path, kind="mesh")))
 
 
 def shapes_in(folder: Path, limit: int | None = None) -> tuple[Shape, ...]:
@@ -75,7 +111,7 @@ def shapes_named(names: Iterable[str]) -> tuple[Shape, ...]:
             raise InvalidInputError("meshes", known, repr(name))
         if path.stem in found:
             raise InvalidInputError("meshes", "have names of their own", f"{path.stem} twice")
-        mesh = _mesh(read(path, kind="mesh"))
+        mesh = as_mesh(read(path, kind="mesh"))
         found[path.stem] = Shape(path.stem, mesh.without_unreferenced())
     return tuple(found.values())
 
@@ -113,8 +149,3 @@ def read_operator(path: Path) -> Laplacian:
             operator=str(file["operator"]),
             seconds=float(file["seconds"]),
         )
-
-
-def _mesh(geometry: object) -> TriangleMesh:
-    assert isinstance(geometry, TriangleMesh)
-    return geometry

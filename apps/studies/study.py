@@ -42,6 +42,17 @@ class Result(Generic[Contender, Problem]):
         return str(self.record.get("reason", ""))
 
 
+def measured_by(
+    results: Iterable[Result[Contender, Problem]],
+) -> dict[Contender, list[Result[Contender, Problem]]]:
+    """Gather what was measured of each contender, in the order of the first of each."""
+    groups: dict[Contender, list[Result[Contender, Problem]]] = {}
+    for result in results:
+        if result.ok:
+            groups.setdefault(result.contender, []).append(result)
+    return groups
+
+
 @dataclass(frozen=True, eq=False)
 class Repeats(Generic[Contender, Problem]):
     """All repeats of one contender on one problem."""

@@ -15,21 +15,18 @@ from __future__ import annotations
 
 import argparse
 import json
-from pathlib import Path
 from typing import Any
 
-from spectra_kit.errors import InvalidInputError
 from studies.batch.shapes import write_pool, write_sizes
 from studies.batch.trials import TRIALS, Setting
 from studies.machine import describe_machine
 from studies.report import Table, write_report
-from studies.shapes import data_folder
+from studies.shapes import given_folder
 
 _SHAPES = {"memory": 500, "broken": 300}  # others have --shapes, too
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the study."""
     add = parser.add_argument
     add("--trials", nargs="+", choices=[*TRIALS], default=[*TRIALS], metavar="TRIAL",
         help=f"of {', '.join(TRIALS)} (all)")  # fmt: skip
@@ -49,9 +46,12 @@ def measure(args: argparse.Namespace) -> None:
         asked = {"shapes": count, "workers": args.workers, "memory_limit": args.memory_limit}
         if known.get(name, {}).get("asked") == asked:
             continue
-        write, kind = (write_sizes, "sizes") if name == "memory" else (write_pool, "pool")
-        shapes = write(_data("ood_public" if name == "memory" else "train_pool"),
-                       args.out / f"{kind}-{count}", count)  # fmt: skip
+        if name == "memory":
+            folder = given_folder(None, "ood_public")
+            shapes = write_sizes(folder, args.out / f"sizes-{count}", count)
+        else:
+            folder = given_folder(None, "train_pool")
+            shapes = write_pool(folder, args.out / f"pool-{count}", count)
         setting = Setting(args.out / "work", shapes, args.workers, args.memory_limit)
         known[name] = {"asked": asked, "machine": describe_machine(), **TRIALS[name](setting)}
         rows = [
@@ -62,10 +62,3 @@ def measure(args: argparse.Namespace) -> None:
         ]
         table = Table("Trials", rows, dict.fromkeys(("trial", "what", "value"), ""))
         write_report(args.out, "batch", [], [table], describe_machine(), trials=known)
-
-
-def _data(name: str) -> Path:
-    folder = data_folder(name)
-    if folder is None:
-        raise InvalidInputError("set SPECTRA_KIT_DATA to the folder of the real shapes")
-    return folder

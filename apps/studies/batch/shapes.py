@@ -8,9 +8,10 @@ import igl
 import numpy as np
 
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import Geometry, TriangleMesh, as_geometry, repair, write
+from spectra_kit.geometry import TriangleMesh, as_geometry, write
 from spectra_kit.interop import to_pyvista
 from spectra_kit.neo.train.pool import open_pool
+from studies.shapes import repaired
 
 _SMALLEST = 300  # vertices of what is taken from the pool
 _SIZES = (3_000, 135_000)
@@ -27,7 +28,7 @@ def write_pool(pool: Path, folder: Path, count: int) -> list[Path]:
             continue
         path = folder / f"{meshes.names[i]}.ply"
         if not path.exists():
-            mesh = _repaired(meshes.mesh(i))
+            mesh = repaired(meshes.mesh(i))
             if mesh.n < _SMALLEST:
                 continue
             write(mesh, path)
@@ -45,7 +46,7 @@ def write_sizes(folder: Path, out: Path, count: int) -> list[Path]:
     for i, path in enumerate(paths):
         if not path.exists():
             with np.load(models[i % len(models)]) as file:
-                mesh = _repaired(TriangleMesh(file["V"], file["F"]))
+                mesh = repaired(TriangleMesh(file["V"], file["F"]))
             write(_resized(mesh, int(np.geomspace(*_SIZES, count)[i])), path)
     return paths
 
@@ -56,10 +57,4 @@ def _resized(mesh: TriangleMesh, size: int) -> TriangleMesh:
     while len(points) < size:
         points, faces = igl.upsample(points, faces)
     fine = to_pyvista(TriangleMesh(points, faces))
-    return _repaired(as_geometry(fine.decimate(1 - min(1.0, size / len(points)))))
-
-
-def _repaired(mesh: Geometry) -> TriangleMesh:
-    repaired = repair(mesh).geometry
-    assert isinstance(repaired, TriangleMesh)  # as what it was made of
-    return repaired
+    return repaired(as_geometry(fine.decimate(1 - min(1.0, size / len(points)))))

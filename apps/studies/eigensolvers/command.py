@@ -48,14 +48,14 @@ from typing import Any
 import numpy as np
 
 from spectra_kit._core.validate import check_count
+from spectra_kit.show import Page
 from studies.command import add_threads
 from studies.eigensolvers.methods import BASELINE, METHODS, QUICK, STARTS, Contender, contenders
 from studies.eigensolvers.solves import KINDS, OPERATOR, Preparation, Solves, clouds_of
 from studies.eigensolvers.summary import Row, Summary, leads, memory, summaries
-from studies.figures import draw_pareto, undominated
 from studies.machine import describe_machine, most_memory
 from studies.paper import seconds_told
-from studies.plots import ParetoPoint
+from studies.plots import ParetoPoint, fronts, plot_pareto
 from studies.recipes import REAL, Recipe, model_sources
 from studies.report import Table, ratio, write_report
 from studies.store import Record, Store
@@ -68,7 +68,6 @@ _DEMO = ("creature:2000", "creature:4000")
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the study."""
     add = parser.add_argument
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--set", choices=("real", "models", "demo"), default="real",
@@ -109,7 +108,6 @@ def _problems(args: argparse.Namespace) -> list[Recipe]:
 
 
 def measure(args: argparse.Namespace) -> None:
-    """Solve and report."""
     for name in ("k", "repeats", "threads"):
         check_count(name, getattr(args, name), low=1)
     limits = Limits(
@@ -152,17 +150,17 @@ def report(
     groups = {name: summaries(some) for name, some in _groups(rows).items()}
     told = [_told(group, one, found) for group, found in groups.items() for one in found]
     drawn = [name for name in groups if _size(name)] or [name for name in groups if name == "all"]
-    figures = [
-        draw_pareto(
-            study.folder / f"accuracy-{_size(name) or name}.png",
-            points,
-            title=f"{name}: {groups[name][0].members} shapes",
-            xlabel="seconds: geometric mean; bars lead to the worst",
-            ylabel="mean relative eigenvalue error",
-        )
-        for name in drawn
-        if len(points := _points(name, groups[name])) > 1
-    ]
+    figures = []
+    for name in drawn:
+        if len(points := _points(name, groups[name])) > 1:
+            figures.append(study.folder / f"accuracy-{_size(name) or name}.png")
+            plot_pareto(
+                points,
+                path=figures[-1],
+                page=Page(f"{name}: {groups[name][0].members} shapes", dpi=150),
+                xlabel="seconds: geometric mean; bars lead to the worst",
+                ylabel="mean relative eigenvalue error",
+            )
     return write_report(
         study.folder,
         "eigensolvers",
@@ -244,7 +242,7 @@ def _told(group: str, one: Summary, found: Sequence[Summary]) -> Record:
         "least on": one.lost[0] if one.lost else of("slowdown", "where"),
         **{"worst error": of(error, "worst"), "worst on": of(error, "where")},
         **{"residual": of("residual_max", "worst"), "GB": ratio(of("bytes", "worst"), 1e9)},
-        "best": str(one.contender) in undominated(_points(group, found)),
+        "best": str(one.contender) in _undominated(_points(group, found)),
     }
     asked = one.contender.method.accuracy
     if not one.contender.method.peer:  # which estimate nothing: residuals and gaps alone have told
@@ -341,7 +339,7 @@ def _solve(row: Row, rows: Sequence[Row]) -> list[Record]:
             **{"GB": memory(row) / 1e9, "residual": row.largest("residual_max")},
             **{"error": row.first("eigenvalue_error"), "waiting": row.largest("waiting")},
             "worst mode": row.first("eigenvalue_error_max"),
-            "best": str(row.contender) in undominated(points),
+            "best": str(row.contender) in _undominated(points),
         }
     ]
 
@@ -369,6 +367,11 @@ def _points(group: str, found: Iterable[Summary]) -> list[ParetoPoint]:
             worst = time.worst, error.worst
             points.append(_point(one.contender, time.mean, error.mean, worst))
     return points
+
+
+def _undominated(points: Iterable[ParetoPoint]) -> set[str]:
+    """Return the names of what nothing on its device beats in both time and error."""
+    return {best.name for front in fronts(points) for best in front}
 
 
 def _point(

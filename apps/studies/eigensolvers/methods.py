@@ -41,7 +41,6 @@ class ScipyEigsh:
     tol: float = 0.0
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Pairs:
-        """See `Eigensolver`."""
         L, M = _csc(laplacian)
         values, vectors = eigsh(L, k=k, M=M, sigma=self.sigma, tol=self.tol)
         return values, vectors
@@ -58,7 +57,6 @@ class DiffusionNetEigsh:
     eps: float = 1e-8
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Pairs:
-        """See `Eigensolver`."""
         mass = laplacian.mass + self.eps * laplacian.mass.mean()
         L = (laplacian.stiffness + self.eps * sparse.eye_array(laplacian.n)).tocsc()
         values, vectors = eigsh(L, k=k, M=sparse.diags_array(mass), sigma=self.eps)
@@ -73,7 +71,6 @@ class LapySolver:
     """
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Pairs:
-        """See `Eigensolver`."""
         from lapy import Solver, TriaMesh
 
         # The constructor wants a mesh; its matrices are replaced at once.
@@ -93,7 +90,6 @@ class LibiglSpectra:
     """
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Pairs:
-        """See `Eigensolver`."""
         from igl import spectra
 
         L, M = _csc(laplacian)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from spectra_kit._core.files import atomic_path
+from spectra_kit._core.fingerprint import shape_digest
 from spectra_kit._core.validate import check_count
 from spectra_kit.catalogue import OPERATORS, SOLVERS
 from spectra_kit.eigen import Spectrum, eigensolve
@@ -17,7 +18,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere
 from spectra_kit.operators import Laplacian
 from studies.eigensolvers.methods import Contender
-from studies.recipes import Recipe, geometry_digest
+from studies.recipes import Recipe
 from studies.shapes import read_operator, write_operator
 from studies.store import Record
 from studies.study import Result, Study
@@ -71,7 +72,7 @@ def assemble(recipe: Recipe) -> tuple[Laplacian, str]:
         operator=assembled.operator,
         seconds=seconds,
     )
-    return laplacian, geometry_digest(geometry)
+    return laplacian, shape_digest(geometry)
 
 
 OPERATOR, EXACT = "operator", "exact eigenvalues"
@@ -89,18 +90,15 @@ class Preparation(Study[str, Recipe]):
     k: int  #: Modes.
 
     def facts(self, contender: str, problem: Recipe) -> dict[str, object]:
-        """See `Study`."""
         k = self.k if contender == EXACT else None
         return {**problem.facts, "operator": KINDS[problem.kind], "k": k}
 
     def excuse(self, contender: str, problem: Recipe, before: Sequence[Result[str, Recipe]]) -> str:
-        """See `Study`."""
         if contender == EXACT and not self.has(OPERATOR, problem):
             return "there is no operator"
         return problem.missing
 
     def measure(self, contender: str, problem: Recipe) -> Record:
-        """See `Study`."""
         path = self.file(contender, problem, ".npz")
         files = {"files": [f"files/{path.name}"]}
         if contender == EXACT:
@@ -136,7 +134,6 @@ class Solves(Study[Contender, Recipe]):
     machine: str = ""  #: Whose seconds they are.
 
     def facts(self, contender: Contender, problem: Recipe) -> dict[str, object]:
-        """See `Study`."""
         return {
             **self.prepared.facts(EXACT, problem),
             "compared": self.prepared.has(EXACT, problem),
@@ -160,7 +157,6 @@ class Solves(Study[Contender, Recipe]):
         return ""
 
     def measure(self, contender: Contender, problem: Recipe) -> Record:
-        """See `Study`."""
         k, device = self.prepared.k, contender.device
         solver = contender.method.make(device)
         laplacian = read_operator(self.prepared.file(OPERATOR, problem, ".npz"))

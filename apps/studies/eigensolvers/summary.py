@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from studies.eigensolvers.methods import BASELINE, Contender
-from studies.figures import ROUNDING
+from studies.plots import ROUNDING
 from studies.recipes import Recipe
 from studies.report import ratio
 from studies.study import Repeats

@@ -65,7 +65,6 @@ Results = Mapping[str, Sequence[Result[str, Shape]]]
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the study."""
     add = parser.add_argument
     add("--meshes", nargs="+", metavar="FILE|NAME",
         help=f"or members of the set, by name (default: {' '.join(MESHES)}; all of the set with"
@@ -98,7 +97,6 @@ def _shapes(args: argparse.Namespace) -> tuple[Shape, ...]:
 
 
 def measure(args: argparse.Namespace) -> None:
-    """Measure and report."""
     for name in ("sources", "exact_sources", "repeats", "threads"):
         check_count(name, getattr(args, name), low=1)
     limits = Limits(threads=args.threads, memory=most_memory())

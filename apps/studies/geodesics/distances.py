@@ -51,12 +51,10 @@ class Modes(Study[str, Shape]):
     contenders: Sequence[str] = tuple(EIGENSOLVERS)
 
     def facts(self, contender: str, problem: Shape) -> dict[str, object]:
-        """See `Study`."""
         solver = EIGENSOLVERS[contender]()  # its representation holds the hash of the weights
         return {"shape": problem.digest, "solver": repr(solver), "modes": MODES}
 
     def measure(self, contender: str, problem: Shape) -> Record:
-        """See `Study`."""
         laplacian = intrinsic_delaunay(problem.mesh).laplacian
         k = min(MODES + laplacian.kernel_dimension, laplacian.n - 1)
         spectrum = eigensolve(laplacian, k, EIGENSOLVERS[contender]())
@@ -84,11 +82,9 @@ class Exact(Study[str, Shape]):
     seed: int = 0  #: Of the draw.
 
     def facts(self, contender: str, problem: Shape) -> dict[str, object]:
-        """See `Study`."""
         return {"shape": problem.digest, "count": self._count(problem.mesh.n), "seed": self.seed}
 
     def measure(self, contender: str, problem: Shape) -> Record:
-        """See `Study`."""
         n = problem.mesh.n
         count = self._count(n)
         drawn = np.random.default_rng(self.seed).choice(n, (count + 1) // 2, replace=False)
@@ -125,7 +121,6 @@ class Distances(Study[str, Shape]):
     warm: int = 5  #: Subdivisions of the sphere to warm up on; 5 have 10,242 points.
 
     def facts(self, contender: str, problem: Shape) -> dict[str, object]:
-        """See `Study`."""
         given = CONTENDERS[contender].modes
         return {
             "contender": contender,
@@ -190,7 +185,6 @@ class Accuracy(Distances):
         return "the direct solver has failed" if lost else ""
 
     def measure(self, contender: str, problem: Shape) -> Record:
-        """See `Study`."""
         sources, exact = self.exact.distances(problem)
         found, record = self.solved(contender, problem, sources)
         fields = np.array([one.distance for one in found])
@@ -220,13 +214,11 @@ class Times(Distances):
     machine: str = ""  #: Whose seconds they are.
 
     def facts(self, contender: str, problem: Shape) -> dict[str, object]:
-        """See `Study`."""
         mine = {"many": self.many, "seed": self.seed, "warm": self.warm}
         where = {"threads": self.threads, "machine": self.machine}
         return {**super().facts(contender, problem), **mine, **where}
 
     def measure(self, contender: str, problem: Shape) -> Record:
-        """See `Study`."""
         sources = self.exact.distances(problem)[0][:1]
         if self.many:
             n = problem.mesh.n
@@ -256,7 +248,6 @@ class Balls(Study[str, Ball]):
     seed: int = 0  #: Of clouds and sources.
 
     def facts(self, contender: str, problem: Ball) -> dict[str, object]:
-        """See `Study`."""
         options = CONTENDERS[contender].options
         return {"ball": str(problem), "seed": self.seed, "who": [contender, options]}
 
@@ -266,7 +257,6 @@ class Balls(Study[str, Ball]):
         return [(name, ball, 0) for name, ball in pairs if (name, ball.kind) != (PLAIN, "cloud")]
 
     def measure(self, contender: str, problem: Ball) -> Record:
-        """See `Study`."""
         ball = sphere(subdivisions=problem.subdivisions).geometry
         rng = np.random.default_rng(self.seed)
         points, faces = np.array(ball.points), np.array(ball.faces)

@@ -192,7 +192,6 @@ class Vectors(Study[View, Part]):
     validated: bool = False  #: There is only something to choose, by the training split.
 
     def tasks(self) -> Iterable[tuple[View, Part, int]]:
-        """See `Study`."""
         every = (
             (view, part, 0)
             for seed in self.seeds
@@ -213,7 +212,6 @@ class Vectors(Study[View, Part]):
         return [i for i in range(part.start, part.stop) if not left_out[i]]
 
     def facts(self, contender: View, problem: Part) -> dict[str, object]:
-        """See `Study`."""
         solver = SOLVERS[contender.solver]
         return {
             "set": self.shapes.digest,
@@ -284,7 +282,6 @@ class Draws(Study[Row, int]):
         return [view] if self.validated else [view, view._replace(turned=True)]
 
     def facts(self, contender: Row, problem: int) -> dict[str, object]:
-        """See `Study`."""
         network = NETWORKS.get(contender.method)
         embedding = [repr(x) for x in _embeddings(contender)]
         view = contender.view

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -27,7 +26,6 @@ import numpy as np
 
 from spectra_kit._core.optional import optional
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit.errors import MissingDependencyError
 from studies import figures
 from studies.learning.classification import (
     FREE,
@@ -47,15 +45,13 @@ from studies.learning.classification import (
 from studies.learning.labelled import CLASSIFIED, labelled_set
 from studies.machine import describe_machine
 from studies.report import Table, write_report
-from studies.shapes import data_folder
 from studies.store import Record
-from studies.study import Result
+from studies.study import Result, measured_by
 
 Results = Sequence[Result[Row, int]]
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the study."""
     add = parser.add_argument
     add("--set", choices=[*CLASSIFIED, "demo"], default="shrec11", help="(%(default)s)")
     add("--data", type=Path, help="folder of the sets (default: $SPECTRA_KIT_DATA/tasks)")
@@ -73,7 +69,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 def measure(args: argparse.Namespace) -> bool:
     """Measure and report; return whether there is a result."""
-    shapes = labelled_set(args.set, args.data or data_folder("tasks"), CLASSIFIED)
+    shapes = labelled_set(args.set, args.data, CLASSIFIED)
     table = rows_named(args.rows) if args.rows else FREE + TRAINED * args.trained
     most = most_shots(shapes) - args.validate
     numbers = args.shots or [q for q in (1, 3, 5, 10) if q <= most]
@@ -91,10 +87,8 @@ def measure(args: argparse.Namespace) -> bool:
     results = classify_all(draws, jobs=args.jobs, progress=True)
     drawn: list[Path] = []
     if not args.no_pictures:
-        try:
+        with figures.unless_missing("pictures are"):
             drawn = draw_pictures(results, draws)
-        except MissingDependencyError as error:
-            print(f"no pictures: {error}", file=sys.stderr)
     columns = {"row": "", "examples": "d", "mean": ".1f", "deviation": ".1f", "worst": ".1f"}
     columns |= {"turned": ".1f", "draws": "d", "epochs": "d"}
     write_report(
@@ -114,12 +108,9 @@ def measure(args: argparse.Namespace) -> bool:
 
 def summarize(results: Results) -> list[Record]:
     """Return, by row and number of examples, what all draws of all seeds gave, in per cent."""
-    groups: dict[Row, list[Record]] = {}
-    for result in results:
-        if result.ok:
-            groups.setdefault(result.contender, []).append(result.record)
     rows = []
-    for row, records in groups.items():
+    for row, measured in measured_by(results).items():
+        records = [result.record for result in measured]
         right, turned = (
             100 * np.concatenate([record[name] for record in records])
             for name in ("right", "turned")
@@ -158,8 +149,7 @@ def _draw_confusion(results: Results, draws: Draws) -> Path:
     counts = np.sum([r.record["confused"] for r in results], axis=0)
     shares = 100 * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
     row, names = results[0].contender, draws.shapes.classes
-    figure, (axes,) = figures.panels(f"What is taken for what: {row}", width=9)
-    figure.set_size_inches(9, 8)
+    figure, (axes,) = figures.panels(f"What is taken for what: {row}", size=(9, 8))
     axes.grid(visible=False)
     image = axes.imshow(shares, cmap="Blues", vmin=0, vmax=100)
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
@@ -182,8 +172,7 @@ def _draw_map(vectors: Floats, every: Ints, row: Row, draws: Draws) -> Path:
     ).fit_transform(scaled)
     assert draws.shapes.labels is not None
     labels, names = draws.shapes.labels[every], draws.shapes.classes
-    figure, (axes,) = figures.panels(f"All shapes by {row.embedding}; {row.view}", width=9)
-    figure.set_size_inches(9, 8)
+    figure, (axes,) = figures.panels(f"All shapes by {row.embedding}; {row.view}", size=(9, 8))
     axes.grid(visible=False)
     axes.set_axis_off()
     for label, name in enumerate(names):

@@ -36,7 +36,6 @@ from spectra_kit.operators import tangent_gradient
 from studies.learning.labelled import SEGMENTED, LabelledSet, labelled_set
 from studies.machine import describe_machine
 from studies.report import Table, write_report
-from studies.shapes import data_folder
 from studies.store import Record
 
 _K, _SCALES, _WIDTH, _BLOCKS, _CLASSES = 128, 16, 128, 4, 8  # of the published weights
@@ -192,7 +191,6 @@ def _percent(good: Tensor) -> float:
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the study."""
     add = parser.add_argument
     add("--peer", type=Path, required=True, help="folder of the authors' package and weights")
     add("--data", type=Path, help="folder of the sets (default: $SPECTRA_KIT_DATA/tasks)")
@@ -201,14 +199,12 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def measure(args: argparse.Namespace) -> None:
-    """Measure and report."""
     published = Published.from_folder(args.peer)
-    bodies = labelled_set("human", args.data or data_folder("tasks"), SEGMENTED)
+    bodies = labelled_set("human", args.data, SEGMENTED)
     chosen = bodies.test[: args.bodies].tolist()
     marks = mark(published, bodies, chosen, told=lambda line: print(line, file=sys.stderr))
     mesh = creature(args.vertices)
     times = seconds(published, mesh)
-    args.out.mkdir(parents=True, exist_ok=True)
     accuracy = {"operators": "", "inputs": "", "mean": ".2f", "difference": "+.2f"}
     accuracy |= {"worst": ".2f", "body": "d", "same labels": ".2f"}
     stages = dict.fromkeys(stage for made in times.values() for stage in made)

@@ -14,6 +14,7 @@ from spectra_kit._core.fingerprint import arrays_digest
 from spectra_kit._core.types import Bools, Ints
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import TriangleMesh, creature, sphere, torus
+from studies.shapes import given_folder
 
 _HELD = 0.1
 
@@ -109,11 +110,10 @@ def labelled_set(name: str, folder: Path | None, files: dict[str, str]) -> Label
     """Return a set by its name, ``demo`` without any data."""
     if name == "demo":
         return demo_set()
-    if folder is None:
-        raise InvalidInputError("name a folder with --data, set SPECTRA_KIT_DATA, or try `demo`")
-    path = folder / files[name]
+    place = given_folder(folder, "tasks")
+    path = place / files[name]
     if not path.is_file():
-        raise InvalidInputError("data", f"hold {files[name]}", f"no such file in {folder}")
+        raise InvalidInputError("data", f"hold {files[name]}", f"no such file in {place}")
     return read_set(name, path)
 
 

@@ -24,7 +24,6 @@ same command after an interruption goes on from the last epoch.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -33,7 +32,7 @@ import numpy as np
 
 from spectra_kit._core.threads import usable_cores
 from spectra_kit._core.types import Floats
-from spectra_kit.errors import InvalidInputError, MissingDependencyError
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.show import Page, Thumbnail, plot_thumbnails
 from studies import figures
 from studies.learning.labelled import SEGMENTED, LabelledSet, labelled_set
@@ -47,8 +46,7 @@ from studies.learning.segmentation import (
 )
 from studies.machine import describe_machine
 from studies.report import Table, write_report
-from studies.shapes import data_folder
-from studies.study import Result
+from studies.study import Result, measured_by
 
 Results = Sequence[Result[PartsRow, int]]
 
@@ -63,7 +61,6 @@ _COLUMNS = {
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the study."""
     add = parser.add_argument
     add("--set", nargs="+", choices=[*SEGMENTED, "demo"], default=["human"], metavar="NAME",
         help=f"{', '.join(SEGMENTED)} or demo (human)")  # fmt: skip
@@ -83,12 +80,11 @@ def measure(args: argparse.Namespace) -> bool:
     for name in args.rows or ():
         if name not in table:
             raise InvalidInputError("rows", f"be of these: {' | '.join(table)}", repr(name))
-    folder = args.data or data_folder("tasks")
     parts = Parts(
         folder=args.out,
         contenders=[table[name] for name in args.rows or table],
         problems=list(range(args.seeds)),
-        sets={name: labelled_set(name, folder, SEGMENTED) for name in args.set},
+        sets={name: labelled_set(name, args.data, SEGMENTED) for name in args.set},
         epochs=args.epochs,
         validated=args.validate,
     )
@@ -96,10 +92,8 @@ def measure(args: argparse.Namespace) -> bool:
     found = summarize(results)
     drawn = [_draw_curves(found, args.out / "epochs.png")] if found else []
     if not args.no_pictures:
-        try:
+        with figures.unless_missing("shapes are"):
             drawn += draw_extremes(results, parts)
-        except MissingDependencyError as error:
-            print(f"shapes are not drawn: {error}", file=sys.stderr)
     write_report(
         args.out,
         "segmentation",
@@ -128,10 +122,7 @@ def held_out(parts: Parts) -> list[dict[str, Any]]:
 
 def summarize(results: Results) -> dict[PartsRow, dict[str, Any]]:
     """Return, by row, means and worst of all seeds."""
-    groups: dict[PartsRow, list[dict[str, Any]]] = {}
-    for result in results:
-        if result.ok:
-            groups.setdefault(result.contender, []).append(result.record)
+    groups = {row: [result.record for result in some] for row, some in measured_by(results).items()}
     return {
         row: {
             **{mark: float(np.mean([r[mark] for r in records])) for mark in _MARKS},
@@ -162,7 +153,7 @@ def _draw_curves(found: dict[PartsRow, dict[str, Any]], path: Path) -> Path:
     whole = {row: cells for row, cells in found.items() if not row.shots}
     few = {row: cells for row, cells in found.items() if row.shots}
     groups = [group for group in (whole, few) if group]
-    figure, axes = figures.panels("Parts told right after each epoch", len(groups), width=13)
+    figure, axes = figures.panels("Parts told right after each epoch", len(groups), size=(13, 4.4))
     for panel, group in zip(axes, groups, strict=True):
         for i, (row, cells) in enumerate(group.items()):
             curves = np.array(cells["curves"])

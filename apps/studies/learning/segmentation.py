@@ -111,7 +111,6 @@ class Parts(Study[PartsRow, int]):
         return learn.Training(epochs=self.epochs, copies=COPIES * bool(row.shots), seed=seed)
 
     def facts(self, contender: PartsRow, problem: int) -> dict[str, object]:
-        """See `Study`."""
         return {
             "set": self.sets[contender.set].digest,
             "recipe": repr(recipe_of(contender, problem)),

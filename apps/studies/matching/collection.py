@@ -37,7 +37,6 @@ _COLUMNS = {
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the study."""
     parser.add_argument("--data", default="smal_r", metavar="SET",
         help="folder, or name of a set in $SPECTRA_KIT_DATA (%(default)s)")  # fmt: skip
     parser.add_argument("--only", nargs="+", default=(), metavar="PREFIX",

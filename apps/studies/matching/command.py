@@ -45,7 +45,6 @@ from __future__ import annotations
 import argparse
 import math
 import statistics
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -55,7 +54,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from spectra_kit._core.threads import usable_cores
-from spectra_kit.errors import MissingDependencyError
 from spectra_kit.geometry import PointCloud
 from spectra_kit.maps import FLIP_MARGIN, MapErrors, geodesic_errors
 from spectra_kit.show import MatchedPair, Page, View, plot_correspondences
@@ -76,7 +74,7 @@ from studies.matching.sets import (
 from studies.matching.subjects import truth_between
 from studies.report import Table, ratio, write_report
 from studies.store import Record
-from studies.study import Result
+from studies.study import Result, measured_by
 
 Results = Sequence[Result[Way, Pair]]
 
@@ -90,7 +88,6 @@ _TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50)  # less is drawn
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the study."""
     add = parser.add_argument
     add("--data", nargs="+", default=["faust_r"], metavar="SET",
         help="folders, or names of sets in $SPECTRA_KIT_DATA (default: faust_r)")  # fmt: skip
@@ -129,10 +126,8 @@ def measure(args: argparse.Namespace) -> bool:
         *_draw_calibrations(matched, args.out),
     ]
     if not args.no_pictures:
-        try:
+        with figures.unless_missing("best, median and worst pairs are"):
             drawn += [path for one in matched for path in draw_extremes(one)]
-        except MissingDependencyError as error:
-            print(f"best, median and worst pairs are not drawn: {error}", file=sys.stderr)
     report(args.out, matched, drawn)
     return any(result.ok for one in matched for result in one.results)
 
@@ -148,11 +143,7 @@ class Matched:
     @property
     def by_way(self) -> dict[Way, list[Result[Way, Pair]]]:
         """What was measured, in the order in which the ways first appear."""
-        groups: dict[Way, list[Result[Way, Pair]]] = {}
-        for result in self.results:
-            if result.ok:
-                groups.setdefault(result.contender, []).append(result)
-        return groups
+        return measured_by(self.results)
 
 
 def _matched(pair_set: PairSet, args: argparse.Namespace) -> Matched:

@@ -53,12 +53,10 @@ class Dense(Study[int, Pair]):
     subjects: Mapping[str, Subject]
 
     def facts(self, contender: int, problem: Pair) -> dict[str, object]:
-        """See `Study`."""
         bodies = [self.subjects[name].digest for name in problem]
         return {"subjects": bodies, "vertices": contender, "modes": _MODES, "thinned": _THINNED}
 
     def measure(self, contender: int, problem: Pair) -> Record:
-        """See `Study`."""
         source, target = (self.subjects[name] for name in problem)
         fine = [
             Subject(s.name, finer(s.mesh, contender), s.landmarks, s.mirrored)
@@ -88,7 +86,6 @@ def _matched(source: Subject, target: Subject) -> tuple[Ints, Clocked]:
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the study."""
     add = parser.add_argument
     add("--data", default="faust_r", metavar="SET",
         help="a folder, or the name of a set in $SPECTRA_KIT_DATA (%(default)s)")  # fmt: skip

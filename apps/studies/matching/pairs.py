@@ -86,7 +86,6 @@ class Spectra(Study[Basis, str]):
     weights: str = "small"
 
     def facts(self, contender: Basis, problem: str) -> dict[str, object]:
-        """See `Study`."""
         return {
             "subject": self.subjects[problem].digest,
             "kind": contender.kind,

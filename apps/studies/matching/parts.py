@@ -27,14 +27,14 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from spectra_kit import prepare, spectrum
 from spectra_kit._core.types import Bools, Floats, Ints
-from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
+from spectra_kit.errors import DoubtfulMatchWarning
 from spectra_kit.geodesics import edge_graph, pair_distances
 from spectra_kit.geometry import TriangleMesh, largest_component
 from spectra_kit.maps import match_part
 from studies.machine import describe_machine
 from studies.matching.subjects import Subject, subjects_in
 from studies.report import Table, write_report
-from studies.shapes import data_folder
+from studies.shapes import given_folder
 from studies.store import Record, Store
 from studies.study import Result, Study, run
 
@@ -163,13 +163,11 @@ class Parts(Study[str, CutPair]):
         return self.subjects[f"tr_reg_{pair.part:03d}"], self.subjects[f"tr_reg_{pair.whole:03d}"]
 
     def facts(self, contender: str, problem: CutPair) -> dict[str, object]:
-        """See `Study`."""
         bodies = (self.subjects[REFERENCE], *self._bodies(problem))
         cut = {"kind": problem.kind, "seed": problem.seed, "modes": _MODES}
         return {"bodies": [body.digest for body in bodies], **cut}
 
     def measure(self, contender: str, problem: CutPair) -> Record:
-        """See `Study`."""
         one, other = self._bodies(problem)
         kept = cut_landmarks(self.subjects[REFERENCE], problem.kind, problem.seed)
         piece, left = part_of(one, kept), left_of(other, kept)
@@ -194,7 +192,6 @@ class Parts(Study[str, CutPair]):
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the study."""
     add = parser.add_argument
     add("--data", type=Path, help="default: $SPECTRA_KIT_DATA/faust_r")
     add("--persons", type=int, nargs="+", default=[4, 5, 6, 7], metavar="P")
@@ -204,11 +201,9 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 def measure(args: argparse.Namespace) -> bool:
     """Match and report; return whether there is a result."""
-    folder = args.data or data_folder("faust_r")
-    if folder is None:
-        raise InvalidInputError("name a folder with --data, or set SPECTRA_KIT_DATA")
+    subjects = subjects_in(given_folder(args.data, "faust_r"))
     pairs = cut_pairs(args.persons, args.pairs, seed=args.seed)
-    study = Parts(folder=args.out, problems=pairs, subjects=subjects_in(folder))
+    study = Parts(folder=args.out, problems=pairs, subjects=subjects)
     results = run(study, Store(args.out), jobs=0, retry=True, progress=True)
     columns = {"cut": "", "pairs": "d", "CPU s": ".1f"}
     columns |= {f"{name} error": ".2f" for name in _FIGURES}

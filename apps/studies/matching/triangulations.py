@@ -9,7 +9,6 @@ it is.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import igl
 import numpy as np
@@ -23,6 +22,7 @@ from spectra_kit.interop import to_pyvista
 from spectra_kit.maps.surface import outward_normals
 from spectra_kit.operators.oriented import oriented_triangles
 from studies.matching.subjects import LACKING, Subject
+from studies.shapes import loop_subdivided, mean_edge
 
 _TURN = 0.1  # of the root of the area: what a turn by one radian counts like, anisotropic
 _CUBES = 2  # vertices of marching cubes for one of the body: fewer lose the fingers
@@ -59,10 +59,7 @@ def quadric(mesh: TriangleMesh, rng: np.random.Generator) -> TriangleMesh:
 
 def dense(mesh: TriangleMesh, rng: np.random.Generator) -> TriangleMesh:
     """Split every triangle in four and smooth, after Loop."""
-    import trimesh
-
-    subdivide: Any = trimesh.remesh.subdivide_loop
-    return TriangleMesh(*subdivide(mesh.points, mesh.faces, iterations=1))
+    return loop_subdivided(mesh)
 
 
 def finer(mesh: TriangleMesh, n: int) -> TriangleMesh:
@@ -135,7 +132,7 @@ def triangulated(subject: Subject, kind: str, *, seed: int = 0) -> Subject:
     _, nearest = cKDTree(made.points).query(mesh.points)
     if isinstance(made, TriangleMesh):
         squares, *_ = igl.point_mesh_squared_distance(mesh.points, made.points, made.faces)
-        nearest = np.where(squares > _edge(mesh) ** 2 / 4, LACKING, nearest)
+        nearest = np.where(squares > mean_edge(mesh) ** 2 / 4, LACKING, nearest)
     mirrored = subject.mirrored
     return Subject(
         f"{subject.name}-{kind.replace(' ', '_')}",
@@ -151,12 +148,6 @@ def rounding(subject: Subject, made: Subject) -> float:
     before = subject.geometry.points[subject.landmarks[there]]
     apart = np.linalg.norm(before - made.geometry.points[made.landmarks[there]], axis=1)
     return float(100 * apart.mean() / np.sqrt(subject.mesh.area))
-
-
-def _edge(mesh: TriangleMesh) -> float:
-    """Return the mean length of the edges."""
-    a, b = mesh.points[mesh.unique_edges[0]].transpose(1, 0, 2)
-    return float(np.linalg.norm(a - b, axis=1).mean())
 
 
 def _euler(mesh: TriangleMesh) -> int:

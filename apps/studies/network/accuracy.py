@@ -47,7 +47,6 @@ class Accuracy(Study[Method, Case]):
         return [task for task in super().tasks() if task[0].columns <= ROOM * task[1].n]
 
     def facts(self, contender: Method, problem: Case) -> dict[str, object]:
-        """See `Study`."""
         return {**self._exact_facts(problem), **problem.facts(), "method": contender.facts}
 
     def measure(self, contender: Method, problem: Case) -> Record:
@@ -127,7 +126,6 @@ class Ritz:
         return f"Rayleigh-Ritz in {self.method}"
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
-        """See `Eigensolver`."""
         device = self.method.device
         if self.method.columns > ROOM * laplacian.n:
             return Dense().eigenpairs(laplacian, k)

@@ -12,12 +12,12 @@ from scipy.stats import special_ortho_group
 from spectra_kit._core.validate import check_count
 from spectra_kit.catalogue import OPERATORS
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import Geometry, TriangleMesh, repair, sample
+from spectra_kit.geometry import Geometry, sample
 from spectra_kit.geometry.sampling import GaussianDensity
 from spectra_kit.neo.train.families import FAMILIES
 from spectra_kit.neo.train.samples import CorpusConfig, draw_source, make_surface
 from spectra_kit.operators import Laplacian
-from studies.shapes import Shape
+from studies.shapes import Shape, repaired
 
 Operator = Literal["robust", "cotan", "knn"]
 
@@ -105,9 +105,8 @@ def _procedural(config: CorpusConfig, index: int) -> Shape:
     for attempt in itertools.count():
         source = draw_source(config, index, attempt)
         try:
-            mesh = repair(make_surface(config, source, index, attempt)).geometry
+            mesh = repaired(make_surface(config, source, index, attempt))
         except InvalidInputError:  # an empty surface: documented, rare, and not a sample either
             continue
-        assert isinstance(mesh, TriangleMesh)
         return Shape(f"{list(FAMILIES)[source['family']]} {index}", mesh)
     raise AssertionError

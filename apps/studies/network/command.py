@@ -55,7 +55,7 @@ import numpy as np
 import torch
 
 from spectra_kit._core.types import Floats
-from spectra_kit.errors import InvalidInputError, MissingDependencyError
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.show import Page, plot_comparison
 from studies import figures, paper
 from studies.machine import describe_machine
@@ -88,7 +88,6 @@ _QUICK |= {"bandwidths": [7.0], "rotations": 3, "worst": 1, "limit": 1, "procedu
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the study."""
     add = parser.add_argument
     add("question", choices=["all", *CHAPTERS], help="what to measure")
     add("--weights", nargs="+", default=["small"], help="names or files (default: small)")
@@ -111,7 +110,6 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def measure(args: argparse.Namespace) -> None:
-    """Measure and report."""
     if args.quick:
         vars(args).update(_QUICK)
     if args.question != "training":
@@ -163,10 +161,8 @@ def write_answer(answer: Answer, folder: Path, *, worst: int = 0) -> Path:
     (folder / "figures").mkdir(parents=True, exist_ok=True)
     drawn, rows = _draw(answer, folder / "figures"), [row for row in answer.rows if row.cases]
     if answer.name == "models" and worst:
-        try:
+        with figures.unless_missing("the worst modes are"):
             drawn += draw_worst(answer, folder / "figures", count=worst)
-        except MissingDependencyError as error:
-            print(f"the worst modes are not drawn: {error}", file=sys.stderr)
     names = dict.fromkeys((name for row in rows for name in row.labels), "")
     errors = {
         f"{title}, {figure}": ".3g"

@@ -108,7 +108,6 @@ def write_training(weights: Sequence[str], folder: Path) -> Path:
     """Write ``training.md``, its JSON and a figure; return the first."""
     check_labels(weights)
     curves = [curve for one in weights for curve in training_curves(one)]
-    (folder / "figures").mkdir(parents=True, exist_ok=True)
     rows = []
     for curve in curves:
         law = curve.law._asdict() if curve.law else {}
