@@ -8,7 +8,9 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from spectra_kit._core.files import atomic_path
+from spectra_kit.errors import MissingDependencyError
 from studies.machine import machine_line
 from studies.store import Record
 from studies.study import Result
@@ -127,6 +130,15 @@ def cell(value: Any, form: str = "") -> str:
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
         return str(value)
     return format(value, form or ("d" if isinstance(value, int | np.integer) else ".5g"))
+
+
+@contextmanager
+def unless_missing(what: str) -> Iterator[None]:
+    """Tell what is not drawn, where a package for it is missing."""
+    try:
+        yield
+    except MissingDependencyError as error:
+        print(f"{what} not drawn: {error}", file=sys.stderr)
 
 
 def ratio(a: float | None, b: float | None) -> float | None:

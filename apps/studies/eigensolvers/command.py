@@ -9,7 +9,7 @@
 
 By default the set of real meshes and clouds of studies/recipes.py is solved: means over it and the
 worst of it, also of the members that no constant was tuned on. Clouds of well-known models, of a
-file or of the demo, of some sizes, tell how times grow and where the network pays. Clouds get the
+file or of the demo, of some sizes, tell where the network pays. Clouds get the
 Delaunay operator, meshes the robust one. Nothing else should run on the machine meanwhile:
 `waiting` is the share of a solve's time that it had no core.
 
@@ -23,8 +23,7 @@ is both faster and more accurate. Stops at: the tolerance, in the sense of the m
 
 Of estimated errors: the share within a factor 3 of the true error, and of those that are too low by
 more, on average and on the worst member. Where an accuracy was asked for: the largest error over
-it, on how many members it was met, and the time over that of the quickest method that met it
-without being asked.
+it, and on how many members it was met.
 
 Beside each method that begins with the network: the best without it in its time, whose error is so
 many times its own (less than 1: the network does not pay), and on how many models nothing without
@@ -45,8 +44,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from spectra_kit._core.validate import check_count
 from spectra_kit.show import Page
 from studies.command import add_threads
@@ -54,7 +51,6 @@ from studies.eigensolvers.methods import BASELINE, METHODS, QUICK, STARTS, Conte
 from studies.eigensolvers.solves import KINDS, OPERATOR, Preparation, Solves, clouds_of
 from studies.eigensolvers.summary import Row, Summary, leads, memory, summaries
 from studies.machine import describe_machine, most_memory
-from studies.paper import seconds_told
 from studies.plots import ParetoPoint, fronts, plot_pareto
 from studies.recipes import REAL, Recipe, model_sources
 from studies.report import Table, ratio, write_report
@@ -149,6 +145,12 @@ def report(
     rows = repeats_of(results)
     groups = {name: summaries(some) for name, some in _groups(rows).items()}
     told = [_told(group, one, found) for group, found in groups.items() for one in found]
+    led = [
+        {"size": name, **lead}
+        for name, some in _groups(rows).items()
+        if _size(name)
+        for lead in leads(some)
+    ]
     drawn = [name for name in groups if _size(name)] or [name for name in groups if name == "all"]
     figures = []
     for name in drawn:
@@ -169,8 +171,7 @@ def report(
             Table("Over the set", told, _OVER),
             Table("What is promised", [r for r in told if r.get("asked") or "met" in r or
                 r.get("within 3") is not None], _PROMISED),
-            Table("Where the network pays", _leads(_groups(rows)), _LEADS),
-            Table("Time against points", _exponents(groups), {"method": "", "exponent": ".2f"}),
+            Table("Where the network pays", led, _LEADS),
             Table("The set", _members(repeats_of(prepared)), _MEMBERS),
             Table("Every problem", [line for row in rows for line in _solve(row, rows)], _SOLVES),
         ],
@@ -214,13 +215,12 @@ def _groups(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 _OVER = {
     **{"method": "", "group": "", "stops at": "", "solved": "", "seconds": ".3g"},
-    **{"slowest": ".3g", "the paper's": ".3g", "speed-up": ".2f", "least": ".2f", "least on": ""},
+    **{"slowest": ".3g", "speed-up": ".2f", "least": ".2f", "least on": ""},
     **{"error": ".1e", "worst error": ".1e", "worst on": "", "residual": ".1e", "GB": ".2f"},
 }
 _PROMISED = {
     **{"method": "", "group": "", "within 3": ".1%", "least within": ".0%", "too low": ".1%"},
     **{"most too low": ".0%", "asked": "g", "error over it": ".2f", "met": ""},
-    **{"time over best": ".2f", "most time": ".2f", "most time on": ""},
 }
 
 
@@ -236,7 +236,6 @@ def _told(group: str, one: Summary, found: Sequence[Summary]) -> Record:
         **{"group": group, "method": str(one.contender), "stops at": one.contender.method.stops},
         **{"solved": f"{solved}/{one.members}", "seconds": of("seconds")},
         **{"slowest": of("seconds", "worst")},
-        "the paper's": seconds_told(one.contender.name, _size(group)),
         **{"speed-up": ratio(1.0, of("slowdown")), "error": of(error)},
         "least": None if one.lost else ratio(1.0, of("slowdown", "worst")),
         "least on": one.lost[0] if one.lost else of("slowdown", "where"),
@@ -252,10 +251,8 @@ def _told(group: str, one: Summary, found: Sequence[Summary]) -> Record:
             **{"too low": of("low"), "most too low": of("low", "worst"), "asked": asked or None},
         }  # fmt: skip
     if "over_asked" in over:
-        met = f"{solved - len(one.above['over_asked'])}/{one.members}"
+        met = f"{solved - len(one.above)}/{one.members}"
         row |= {"error over it": of("over_asked", "worst"), "met": met}
-        row |= {"time over best": of("behind"), "most time": of("behind", "worst")}
-        row |= {"most time on": of("behind", "where")}
     return row
 
 
@@ -263,35 +260,6 @@ _LEADS = {
     **{"size": "", "method": "", "the best in its time": "", "times its error": ".3g"},
     **{"pays on": "d", "of": "d"},
 }
-
-
-def _leads(groups: dict[str, list[Row]]) -> list[Record]:
-    return [
-        {
-            **{"size": size, "method": str(lead.contender), "times its error": lead.ratio},
-            **{"the best in its time": str(lead.rival or "none"), "pays on": len(lead.models)},
-            **{"of": lead.measured, "models": lead.models},
-        }
-        for size, rows in groups.items()
-        if _size(size)
-        for lead in leads(rows)
-    ]
-
-
-def _exponents(groups: dict[str, list[Summary]]) -> list[Record]:
-    """Fit times against points, of three sizes and more: a line fits two always."""
-    times: dict[str, list[tuple[int, float]]] = {}
-    for group, found in groups.items():
-        for one in found:
-            if _size(group) and np.isfinite(one.over["seconds"].mean):
-                known = times.setdefault(str(one.contender), [])
-                known.append((_size(group), one.over["seconds"].mean))
-    return [
-        {"method": name, "exponent": float(np.polyfit(points, seconds, 1)[0])}
-        for name, known in times.items()
-        if len(known) > 2
-        for points, seconds in [np.log(known).T]
-    ]
 
 
 _MEMBERS = dict.fromkeys(("member", "kind", "traits", "made of", "points", "for", "hash"), "")

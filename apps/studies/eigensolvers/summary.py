@@ -11,16 +11,13 @@ from studies.eigensolvers.methods import BASELINE, Contender
 from studies.plots import ROUNDING
 from studies.recipes import Recipe
 from studies.report import ratio
+from studies.store import Record
 from studies.study import Repeats
 
 Row = Repeats[Contender, Recipe]
 
-#: Name -> largest value of a figure that keeps a promise: errors over what was asked for, seconds
-#: over those of the best of all others.
-LIMITS = {"over_asked": 1.0, "behind": 1.25}
-
 # Figures whose mean is geometric.
-_GEOMETRIC = ("slowdown", "behind", "seconds", "typical_error")
+_GEOMETRIC = ("slowdown", "seconds", "typical_error")
 
 
 class Over(NamedTuple):
@@ -39,8 +36,7 @@ class Summary(NamedTuple):
     lost: tuple[str, ...]  #: Of these, what this one did not.
     #: Name -> figure: without means where some are lost, as those would be of easier members.
     over: dict[str, Over]
-    #: Name -> members where a figure is above its limit in `LIMITS`.
-    above: dict[str, tuple[str, ...]]
+    above: tuple[str, ...]  #: Members whose error is above what was asked for.
 
 
 def summaries(rows: Sequence[Row]) -> list[Summary]:
@@ -61,10 +57,7 @@ def summaries(rows: Sequence[Row]) -> list[Summary]:
         over = {
             name: told for name, values in columns.items() if (told := _over(name, values, lost))
         }
-        above = {
-            name: tuple(at for at, value in columns.get(name, {}).items() if (value or 0) > most)
-            for name, most in LIMITS.items()
-        }
+        above = tuple(at for at, value in columns.get("over_asked", {}).items() if (value or 0) > 1)
         found.append(Summary(who, len(members), lost, over, above))
     return found
 
@@ -83,16 +76,7 @@ def _figures(row: Row, rows: Sequence[Row]) -> dict[str, float | None]:
         **{name: row.largest(name) for name in ("apart", "low")},
     }
     if asked:
-        best = [
-            other.median("seconds")
-            for other in others
-            if not other.contender.method.accuracy
-            and other.contender.device in ("cpu", row.contender.device)
-            and other.values("eigenvalue_error")
-            and other.largest("eigenvalue_error") <= asked
-        ]
         found["over_asked"] = ratio(row.largest("eigenvalue_error"), asked)
-        found["behind"] = ratio(seconds, min(filter(None, best), default=None))
     return found
 
 
@@ -119,20 +103,14 @@ _SAME = 1.05  # times closer than this are equal
 _COMPARED = ("seconds", "typical_error")
 
 
-class Lead(NamedTuple):
-    """A method that begins with the network, and the best without it that takes no longer."""
+def leads(rows: Sequence[Row]) -> list[Record]:
+    """Compare what begins with the network, at one size, with the rest on its device or the host.
 
-    contender: Contender
-    rival: Contender | None  #: By their means; none, where all take longer.
-    ratio: float  #: The rival's typical error over its own.
-    models: tuple[str, ...]  #: Where nothing without it is as quick and as near.
-    measured: int  #: Models.
-
-
-def leads(rows: Sequence[Row]) -> list[Lead]:
-    """Compare at one size; rivals are on the same device or on the processor."""
+    The best without it in its time, if any, how many times its error that has in the mean, and on
+    which models nothing without it is as quick and as near.
+    """
     found = {str(one.contender): one for one in summaries(rows) if _compared(one)}
-    answers = []
+    answers: list[Record] = []
     for one in found.values():
         who = one.contender
         if not who.method.network:
@@ -149,15 +127,15 @@ def leads(rows: Sequence[Row]) -> list[Lead]:
         best = min(in_time, key=lambda o: o.over["typical_error"].mean, default=None)
         least = max(best.over["typical_error"].mean, ROUNDING) if best else np.inf
         mine = [row for row in rows if row.contender == who and row.values("eigenvalue_error")]
-        wins = (row for row in mine if not any(_beats(other, row) for other in others))
+        wins = [row for row in mine if not any(_beats(other, row) for other in others)]
         answers.append(
-            Lead(
-                contender=who,
-                rival=best.contender if best else None,
-                ratio=least / max(error, ROUNDING),
-                models=tuple(str(row.problem) for row in wins),
-                measured=len(mine),
-            )
+            {
+                "method": str(who),
+                "the best in its time": str(best.contender) if best else "none",
+                "times its error": least / max(error, ROUNDING),
+                **{"pays on": len(wins), "of": len(mine)},
+                "models": [str(row.problem) for row in wins],
+            }
         )
     return answers
 

@@ -10,34 +10,29 @@ should run on the machine meanwhile.
 
 Iterations are those of the Poisson step to a relative residual of 1e-8, the median of the sources;
 *fewer*: how many times fewer than ICPCG takes. *Apart*: the largest difference from the fields of
-the direct solver, over the largest distance.
+the direct solver, over the largest distance. Modes are handed to a solver that has some: what they
+took is in geodesics.csv.
 
 Seconds to the first field go from the arrays of vertices and faces to the distances from one
 source: checks, triangulation, factors or preconditioner, heat and Poisson step; of other packages,
-building the solver and its first solve. They are medians of runs, each in a process of its own that
-has solved on a small sphere before, all contenders by turns; *least* and *processor* (of all
-threads) are of the best run. A solver with modes is handed them: what they took, all 96 of them, is
-in *spectrum* and in *in all*, what someone pays who wants the distance and nothing else. Many
-sources are asked for at once, and nobody is handed modes. With --race what comes without options
-meets potpourri3d both ways. *Times ours*: over what comes without options, by the best runs;
-*faster*: the time of potpourri3d, robust, over its own.
+building the solver and its first solve. Each run has a process of its own that has solved on a
+small sphere before, all contenders by turns; *seconds* are the median of runs, *least* and
+*processor* (of all threads) the best. Many sources are asked for at once, and nobody is handed
+modes. With --race what comes without options meets potpourri3d both ways. *Times ours*: over what
+comes without options, by the best runs.
 
-Errors |d - d*| / d* against exact distances are in per cent, the sources aside: mean over vertices,
-over the surface, and the largest; averaged over sources, half of them drawn at random, half far
-from those before. Over the meshes stand a geometric mean and the worst, the mean only of who solved
-them all. On the unit sphere errors are against arcs; the rate is the power of 1/sqrt(n) with which
-the mean error falls from the first size to the last.
+Errors |d - d*| / d* against exact distances are in per cent, the sources aside: the mean over
+vertices, and the largest; averaged over sources, half of them drawn at random, half far from those
+before. Over the meshes stand a geometric mean and the worst, the mean only of who solved them all.
 """
 
 from __future__ import annotations
 
 import argparse
 import statistics
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
-
-import numpy as np
 
 from spectra_kit._core.validate import check_count
 from studies.command import add_threads
@@ -51,7 +46,7 @@ from studies.geodesics.contenders import (
     ROBUST,
     UNAIDED,
 )
-from studies.geodesics.distances import Accuracy, Ball, Balls, Exact, Modes, Times, mean_error
+from studies.geodesics.distances import Accuracy, Exact, Modes, Times
 from studies.machine import describe_machine, most_memory
 from studies.recipes import REAL, real_meshes
 from studies.report import Table, ratio, write_report
@@ -80,8 +75,6 @@ def options(parser: argparse.ArgumentParser) -> None:
     add("--repeats", type=int, default=3, help="of each clocked run (%(default)s)")
     add_threads(parser)
     add("--seed", type=int, default=0, help="of the sources (%(default)s)")
-    add("--sphere", type=int, nargs="+", default=[3, 4, 5, 6], metavar="N",
-        help="subdivisions of the spheres (default: 3 4 5 6)")  # fmt: skip
     add("--warm", type=int, default=5, metavar="N",
         help="subdivisions of the sphere that each process warms up on (%(default)s)")  # fmt: skip
     add("--quick", action="store_true",
@@ -122,20 +115,16 @@ def measure(args: argparse.Namespace) -> None:
     results["accuracy"] = measured(Accuracy(**given, **_only(compared)))
     results["first"] = measured(Times(**clocked, **_only(first)))
     results["many"] = measured(Times(**clocked, **_only(many), many=args.sources))
-    balls = [Ball(kind, count) for kind in ("mesh", "cloud") for count in args.sphere]
-    on_balls = [] if args.race else measured(Balls(folder=args.out, problems=balls, seed=args.seed))
-    rows = told(results, sources=args.sources)
-    everything = [result for some in results.values() for result in some]
+    rows = told(results)
     write_report(
         args.out,
         "geodesics",
-        [*everything, *on_balls],
+        [result for some in results.values() for result in some],
         [
             Table("Over the meshes", over_meshes(rows), _OVER),
             Table("Seconds to the first field", rows, _FIRST),
             Table("Seconds for many sources", rows, _MANY),
             Table("Iterations, and errors against exact distances", rows, _ERRORS),
-            Table("The unit sphere", _balls(on_balls), _BALLS),
         ],
         machine,
         settings={"repeats": args.repeats, "sources": args.sources, "one process": args.quick},
@@ -149,34 +138,30 @@ def _only(names: Sequence[str] | None) -> dict[str, Any]:
 # --- tables ---
 
 _WHO = {"mesh": "", "vertices": ",d", "solver": ""}
+# What is clocked -> the best of it, and how many times that of what comes without options.
+_BEST = {
+    "seconds": ("least", "times ours"),
+    "processor_seconds": ("processor", "its times ours"),
+}
 _FIRST = {
     **_WHO,
-    **dict.fromkeys(("seconds", "faster", "spectrum", "in all", "faster in all"), ".2f"),
-    **dict.fromkeys(("least", "times ours", "processor", "its times ours"), ".2f"),
-    **dict.fromkeys(("triangulation", "setup", "heat", "poisson"), ".2f"),
-    "chosen": "",
+    **dict.fromkeys(("seconds", *_BEST["seconds"], *_BEST["processor_seconds"]), ".2f"),
 }
-_MANY = {
-    **_WHO,
-    **{"many: seconds": ".2f", "ms each": ".0f", "over direct": ".2f", "many: least": ".2f"},
-    **{"many: times ours": ".2f", "many: processor": ".2f", "many: its times ours": ".2f"},
-}
+_MANY = {**_WHO, **{f"many: {name}": ".2f" for name in _FIRST if name not in _WHO}}
 _ERRORS = {
     **_WHO,
-    **{"iterations": ".0f", "fewer": ".2f", "apart": ".1e"},
-    **{"mean %": ".3g", "surface %": ".3g", "largest %": ".3g", "over robust": ".3f"},
+    **{"iterations": ".0f", "fewer": ".2f", "apart": ".1e", "mean %": ".3g", "largest %": ".3g"},
 }
 _OVER = {"solver": "", "figure": "", "mean": ".2f", "worst": ".3g", "on": ""}
 #: Of figures that are told over all meshes: which is the worst.
 _WORST = {
-    **dict.fromkeys(("times ours", "its times ours"), min),
+    **dict.fromkeys(("times ours", "its times ours", "fewer"), min),
     **dict.fromkeys(("many: times ours", "many: its times ours"), min),
-    **dict.fromkeys(("fewer", "faster", "faster in all"), min),
-    **dict.fromkeys(("over direct", "over robust", "apart"), max),
+    "apart": max,
 }
 
 
-def told(results: Results, *, sources: int) -> list[Record]:
+def told(results: Results) -> list[Record]:
     """Gather what was measured of each contender on each mesh, from the results of the studies.
 
     These are "modes", "accuracy", "first" and "many", as far as they are there.
@@ -191,67 +176,30 @@ def told(results: Results, *, sources: int) -> list[Record]:
     lines = []
     for shape in shapes.values():
         here = {(study, who): row for (study, mesh, who), row in rows.items() if mesh == shape.name}
-        lines += [_line(shape, name, here, sources) for name in CONTENDERS if name in measured]
+        lines += [_line(shape, name, here) for name in CONTENDERS if name in measured]
     return lines
 
 
-def _line(
-    shape: Shape, name: str, rows: Mapping[tuple[str, str], Repeats[str, Shape]], sources: int
-) -> Record:
-    def seconds(study: str, who: str) -> float | None:
-        row = rows.get((study, who))
-        return None if row is None else row.median("seconds")
-
-    def least(study: str, who: str, unit: str) -> float | None:
-        row = rows.get((study, who))
-        return min(row.values(unit), default=None) if row else None
-
-    def error(who: str, which: str) -> float | None:
-        row = rows.get(("accuracy", who))
-        errors = row.first("errors") if row else None
-        return 100 * mean_error(errors, which) if errors else None
-
+def _line(shape: Shape, name: str, rows: Mapping[tuple[str, str], Repeats[str, Shape]]) -> Record:
     def iterations(who: str) -> float | None:
         row = rows.get(("accuracy", who))
         counts = [count for count in (row and row.first("iterations")) or [] if count is not None]
         return statistics.median(counts) if counts else None
 
-    own, all_of_many = seconds("first", name), seconds("many", name)
-    middle = _middle(rows.get(("first", name)))
-    # A solver that has chosen to do without modes has not used their time.
-    used = middle.get("solver") != "direct"
-    modes = (seconds("modes", CONTENDERS[name].modes) or 0.0) if used else 0.0
-    in_all = None if own is None else own + modes
-    accuracy = rows.get(("accuracy", name))
-    line: Record = {
-        **{"mesh": shape.name, "vertices": shape.mesh.n, "solver": name},
-        **{"seconds": own, "faster": ratio(seconds("first", ROBUST), own)},
-        **{"spectrum": modes or None, "in all": in_all, "chosen": middle.get("solver")},
-        "faster in all": ratio(seconds("first", ROBUST), in_all),
-        **{stage: middle.get("stages", {}).get(stage) for stage in _FIRST if stage in _STAGES},
-        "many: seconds": all_of_many,
-        "ms each": ratio(all_of_many, min(sources, shape.mesh.n) / 1000),
-        "over direct": ratio(all_of_many, seconds("many", DIRECT)),
-        "iterations": iterations(name),
-        "fewer": ratio(iterations(ICPCG), iterations(name)),
-        "apart": accuracy and accuracy.first("difference"),
-        **{f"{title} %": error(name, which) for title, which in _MEANS.items()},
-        "over robust": ratio(error(name, "mean"), error(ROBUST, "mean")),
-    }
+    line: Record = {"mesh": shape.name, "vertices": shape.mesh.n, "solver": name}
     for study, prefix in (("first", ""), ("many", "many: ")):
-        for unit, least_name, times in _UNITS:
-            best = least(study, name, unit)
-            line[prefix + least_name] = best
-            line[prefix + times] = ratio(best, least(study, UNAIDED, unit))
+        own, ours = (rows.get((study, who)) for who in (name, UNAIDED))
+        line[f"{prefix}seconds"] = own and own.median("seconds")
+        for unit, (least, times) in _BEST.items():
+            best, base = (row and min(row.values(unit), default=None) for row in (own, ours))
+            line |= {prefix + least: best, prefix + times: ratio(best, base)}
+    line |= {"iterations": iterations(name), "fewer": ratio(iterations(ICPCG), iterations(name))}
+    accuracy = rows.get(("accuracy", name))
+    line["apart"] = accuracy and accuracy.first("difference")
+    if errors := accuracy and accuracy.first("errors"):
+        for which in ("mean", "largest"):
+            line[f"{which} %"] = 100 * statistics.fmean(error[which] for error in errors)
     return line
-
-
-_STAGES = ("triangulation", "setup", "heat", "poisson")
-_MEANS = {"mean": "mean", "surface": "weighted", "largest": "largest"}
-_UNITS = (
-    ("seconds", "least", "times ours"),
-    ("processor_seconds", "processor", "its times ours"),
-)
 
 
 def over_meshes(rows: Sequence[Record]) -> list[Record]:
@@ -268,44 +216,3 @@ def over_meshes(rows: Sequence[Record]) -> list[Record]:
                 line = {"solver": name, "figure": figure, "mean": mean}
                 found.append({**line, "worst": worst[figure], "on": worst["mesh"]})
     return found
-
-
-def _middle(row: Repeats[str, Shape] | None) -> Record:
-    """Return the record of the median run, the faster one of two."""
-    good = sorted(
-        (result.record for result in (row.results if row else ()) if result.ok),
-        key=lambda record: record["seconds"],
-    )
-    return good[(len(good) - 1) // 2] if good else {}
-
-
-_BALLS = {
-    "solver": "",
-    "kind": "",
-    "points": ",d",
-    "mean %": ".3g",
-    "largest %": ".3g",
-    "rate": ".2f",
-}
-
-
-def _balls(results: Iterable[Result[str, Ball]]) -> list[Record]:
-    lines: dict[tuple[str, str], list[Record]] = {}
-    for result in results:
-        if result.ok:
-            lines.setdefault((result.problem.kind, result.contender), []).append(result.record)
-    rows: list[Record] = []
-    for (kind, name), records in lines.items():
-        ends = np.log([(r["mean"], r["points"] ** 0.5) for r in (records[0], records[-1])])
-        fall = ends[0] - ends[1]
-        line = {"solver": name, "kind": kind, "rate": ratio(-fall[0], fall[1])}
-        rows += [
-            {
-                **line,
-                "points": r["points"],
-                "mean %": 100 * r["mean"],
-                "largest %": 100 * r["largest"],
-            }
-            for r in records
-        ]
-    return rows

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import statistics
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +20,6 @@ from studies.geodesics.contenders import (
     DIRECT,
     MODES,
     OTHERS,
-    PLAIN,
-    ROBUST,
     Found,
 )
 from studies.shapes import Shape
@@ -39,7 +35,6 @@ EIGENSOLVERS: Mapping[str, Callable[[], Eigensolver]] = {
 
 _LARGE = 60_000  # vertices, above which errors are measured at two sources at most
 _WARM_MODES = 8
-_BALL_SOURCES = 4
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -228,55 +223,6 @@ class Times(Distances):
         return record
 
 
-class Ball(NamedTuple):
-    """The unit sphere as a mesh, or points drawn on it, as many."""
-
-    kind: str
-    subdivisions: int
-
-    def __str__(self) -> str:
-        return f"{self.kind}, {self.subdivisions} subdivisions"
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Balls(Study[str, Ball]):
-    """Errors on the unit sphere, where distances are arcs."""
-
-    name = "balls"
-    fresh = False
-    contenders: Sequence[str] = (DIRECT, ROBUST, PLAIN)
-    seed: int = 0  #: Of clouds and sources.
-
-    def facts(self, contender: str, problem: Ball) -> dict[str, object]:
-        options = CONTENDERS[contender].options
-        return {"ball": str(problem), "seed": self.seed, "who": [contender, options]}
-
-    def tasks(self) -> list[tuple[str, Ball, int]]:
-        """See `Study`; the surface that is not robust knows no clouds."""
-        pairs = ((name, ball) for ball in self.problems for name in self.contenders)
-        return [(name, ball, 0) for name, ball in pairs if (name, ball.kind) != (PLAIN, "cloud")]
-
-    def measure(self, contender: str, problem: Ball) -> Record:
-        ball = sphere(subdivisions=problem.subdivisions).geometry
-        rng = np.random.default_rng(self.seed)
-        points, faces = np.array(ball.points), np.array(ball.faces)
-        sources = rng.choice(ball.n, _BALL_SOURCES, replace=False).tolist()
-        if problem.kind == "cloud":
-            directions = rng.standard_normal((ball.n, 3))
-            points = directions / np.linalg.norm(directions, axis=1)[:, None]
-        given = None if problem.kind == "cloud" else faces
-        found = CONTENDERS[contender].build(points, given, None)(sources)
-        arcs = np.arccos(np.clip(points[sources] @ points.T, -1, 1))
-        errors = [
-            relative_errors(one.distance, arc, np.ones(ball.n))
-            for one, arc in zip(found, arcs, strict=True)
-        ]
-        return {
-            "points": ball.n,
-            **{name: mean_error(errors, name) for name in ("mean", "largest")},
-        }
-
-
 def relative_errors(distance: Floats, exact: Floats, mass: Floats) -> Record:
     """Return ``|d - d*| / d*``: the mean over vertices, over the surface, and the largest.
 
@@ -290,8 +236,3 @@ def relative_errors(distance: Floats, exact: Floats, mass: Floats) -> Record:
         "weighted": float(error @ weights / weights.sum()),
         "largest": float(error.max()),
     }
-
-
-def mean_error(errors: Iterable[Record], which: str) -> float:
-    """Return the average over sources of what `relative_errors` found."""
-    return statistics.fmean(error[which] for error in errors)

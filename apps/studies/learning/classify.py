@@ -11,8 +11,7 @@ seed come the points of the clouds, so many draws of examples, and the rotations
 draw. Per cent of the test split told right, over draws of so many examples a class; with --validate
 of what each draw leaves of the training split. Clouds are 2,048 random points, spectra have 96
 modes. *Turned*: the same shapes turned at random. Networks see shapes and stretched copies of them,
-30,000 in all: as many as about an hour of a core allows to the slowest. OUT also gets confusion.png
-and map.png.
+30,000 in all: as many as about an hour of a core allows to the slowest.
 """
 
 from __future__ import annotations
@@ -24,9 +23,6 @@ from pathlib import Path
 
 import numpy as np
 
-from spectra_kit._core.optional import optional
-from spectra_kit._core.types import Floats, Ints
-from studies import figures
 from studies.learning.classification import (
     FREE,
     HEADS,
@@ -64,7 +60,6 @@ def options(parser: argparse.ArgumentParser) -> None:
     add("--validate", action="store_true",
         help="test on what the draw leaves of the training split")  # fmt: skip
     add("--jobs", type=int, default=os.cpu_count() or 1, help="side by side (%(default)s)")
-    add("--no-pictures", action="store_true", help="draw nothing")
 
 
 def measure(args: argparse.Namespace) -> bool:
@@ -85,10 +80,6 @@ def measure(args: argparse.Namespace) -> bool:
         draws=args.draws,
     )
     results = classify_all(draws, jobs=args.jobs, progress=True)
-    drawn: list[Path] = []
-    if not args.no_pictures:
-        with figures.unless_missing("pictures are"):
-            drawn = draw_pictures(results, draws)
     columns = {"row": "", "examples": "d", "mean": ".1f", "deviation": ".1f", "worst": ".1f"}
     columns |= {"turned": ".1f", "draws": "d", "epochs": "d"}
     write_report(
@@ -97,7 +88,6 @@ def measure(args: argparse.Namespace) -> bool:
         results,
         [Table("Per cent told right", summarize(results), columns)],
         describe_machine(),
-        figures=drawn,
         set=shapes.name,
         validated=args.validate,
         names={name: repr(what) for name, what in {**WHOLE, **HEADS, **NETWORKS}.items()},
@@ -126,60 +116,3 @@ def summarize(results: Results) -> list[Record]:
             }
         )
     return rows
-
-
-def draw_pictures(results: Results, draws: Draws) -> list[Path]:
-    """Draw who is taken for whom and where all shapes lie, for the last row of heads."""
-    heads = [r for r in results if r.ok and not r.contender.trained]
-    if not heads:
-        return []
-    best = [r.contender for r in heads if r.contender[1:3] == ("waves+dna", "nearest")]
-    last = (best or [r.contender for r in heads])[-1]
-    same = [r.contender for r in heads if r.contender[:3] == last[:3]]
-    row = min(same, key=lambda one: one.shots)
-    every = draws.shapes.train if draws.validated else np.arange(len(draws.shapes.meshes))
-    vectors = draws.vectors.of(every, row.view, next(iter(draws.problems)), row.embedding)
-    return [
-        _draw_confusion([r for r in heads if r.contender == row], draws),
-        _draw_map(vectors, every, row, draws),
-    ]
-
-
-def _draw_confusion(results: Results, draws: Draws) -> Path:
-    counts = np.sum([r.record["confused"] for r in results], axis=0)
-    shares = 100 * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    row, names = results[0].contender, draws.shapes.classes
-    figure, (axes,) = figures.panels(f"What is taken for what: {row}", size=(9, 8))
-    axes.grid(visible=False)
-    image = axes.imshow(shares, cmap="Blues", vmin=0, vmax=100)
-    axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
-    axes.set_yticks(range(len(names)), names, fontsize=7)
-    axes.set_xlabel("taken for")
-    axes.set_ylabel("is")
-    for i, j in zip(*np.nonzero((shares >= 1) & ~np.eye(len(names), dtype=bool)), strict=True):
-        axes.text(j, i, f"{shares[i, j]:.0f}", ha="center", va="center", fontsize=6)
-    figure.colorbar(image, ax=axes, label="% of the class", shrink=0.7)
-    return figures.save(figure, draws.folder / "confusion.png")
-
-
-def _draw_map(vectors: Floats, every: Ints, row: Row, draws: Draws) -> Path:
-    """Draw all shapes in the plane: near are those that t-SNE keeps near."""
-    manifold = optional("sklearn.manifold", extra="learn", needed_by="the map")
-    scaled = vectors / np.maximum(vectors.std(axis=0), 1e-12)
-    perplexity = min(15, (len(scaled) - 1) / 3)
-    places = manifold.TSNE(
-        metric="manhattan", init="random", perplexity=perplexity, random_state=0
-    ).fit_transform(scaled)
-    assert draws.shapes.labels is not None
-    labels, names = draws.shapes.labels[every], draws.shapes.classes
-    figure, (axes,) = figures.panels(f"All shapes by {row.embedding}; {row.view}", size=(9, 8))
-    axes.grid(visible=False)
-    axes.set_axis_off()
-    for label, name in enumerate(names):
-        own = places[labels == label]
-        colour = f"C{label % 10}"
-        axes.scatter(
-            own[:, 0], own[:, 1], s=14, color=colour, marker="os^"[label // 10 % 3], linewidths=0
-        )
-        axes.annotate(name, np.median(own, axis=0), fontsize=8, ha="center", weight="bold")
-    return figures.save(figure, draws.folder / "map.png")

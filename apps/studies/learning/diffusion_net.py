@@ -28,6 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
+from tqdm import tqdm
 
 import spectra_kit as sk
 from spectra_kit.errors import DoubtfulSpectrumWarning, InvalidInputError
@@ -144,23 +145,18 @@ def makers(published: Published) -> dict[str, Maker]:
     }
 
 
-@dataclass(frozen=True, eq=False)
-class Marks:
-    """Shares of faces, in percent, on each of s test bodies."""
+def mark(published: Published, shapes: LabelledSet, chosen: Sequence[int]) -> list[Record]:
+    """Label the faces of some bodies by the operators of each maker.
 
-    maker: str
-    inputs: str
-    right: np.ndarray[Any, Any]  #: (s,)
-    as_theirs: np.ndarray[Any, Any]  #: (s,): where both say the same, right or wrong.
-
-
-def mark(
-    published: Published, shapes: LabelledSet, chosen: Sequence[int], *, told: Callable[[str], None]
-) -> list[Marks]:
-    """Label the faces of some bodies by the operators of each maker."""
-    right: dict[tuple[str, str], list[float]] = {}
-    same: dict[tuple[str, str], list[float]] = {}
-    for i in chosen:
+    The shares that are right, and those as with their own operators, right or wrong, are in percent
+    of the faces of each body.
+    """
+    marks = {
+        (name, inputs): {"maker": name, "inputs": inputs, "right": [], "as_theirs": []}
+        for name in makers(published)
+        for inputs in INPUTS
+    }
+    for i in tqdm(chosen, "bodies", disable=None):
         points, faces = published.prepared(shapes.meshes[i])
         truth = torch.tensor(shapes.face_labels[i])
         theirs: list[Tensor] = []
@@ -168,10 +164,9 @@ def mark(
             found = published.labels(points, faces, make(points, faces).tensors)
             theirs = theirs or found
             for inputs, labels, other in zip(INPUTS, found, theirs, strict=True):
-                right.setdefault((name, inputs), []).append(_percent(labels == truth))
-                same.setdefault((name, inputs), []).append(_percent(labels == other))
-        told(f"body {i}")
-    return [Marks(*key, np.array(right[key]), np.array(same[key])) for key in right]
+                marks[name, inputs]["right"].append(_percent(labels == truth))
+                marks[name, inputs]["as_theirs"].append(_percent(labels == other))
+    return list(marks.values())
 
 
 def seconds(published: Published, mesh: TriangleMesh) -> dict[str, dict[str, float]]:
@@ -202,7 +197,7 @@ def measure(args: argparse.Namespace) -> None:
     published = Published.from_folder(args.peer)
     bodies = labelled_set("human", args.data, SEGMENTED)
     chosen = bodies.test[: args.bodies].tolist()
-    marks = mark(published, bodies, chosen, told=lambda line: print(line, file=sys.stderr))
+    marks = mark(published, bodies, chosen)
     mesh = creature(args.vertices)
     times = seconds(published, mesh)
     accuracy = {"operators": "", "inputs": "", "mean": ".2f", "difference": "+.2f"}
@@ -231,14 +226,14 @@ def measure(args: argparse.Namespace) -> None:
     )
 
 
-def _accuracy(marks: list[Marks], chosen: list[int]) -> list[Record]:
-    theirs = {inputs: next(m for m in marks if m.inputs == inputs) for inputs in INPUTS}
+def _accuracy(marks: Sequence[Record], chosen: Sequence[int]) -> list[Record]:
+    theirs = {one["inputs"]: np.mean(one["right"]) for one in marks[: len(INPUTS)]}
     return [
         {
-            **{"operators": one.maker, "inputs": one.inputs, "mean": one.right.mean()},
-            "difference": one.right.mean() - theirs[one.inputs].right.mean(),
-            **{"worst": one.right.min(), "body": chosen[int(np.argmin(one.right))]},
-            "same labels": one.as_theirs.mean(),
+            **{"operators": one["maker"], "inputs": one["inputs"], "mean": np.mean(one["right"])},
+            "difference": np.mean(one["right"]) - theirs[one["inputs"]],
+            **{"worst": min(one["right"]), "body": chosen[int(np.argmin(one["right"]))]},
+            "same labels": np.mean(one["as_theirs"]),
         }
         for one in marks
     ]

@@ -17,8 +17,8 @@ the tested shapes are turned at random. *Area*, *faces*, *vertices*: shares of t
 *edges*: by area, of those whose class is that of a face beside them, as MeshCNN counts. *Seen*: how
 many of the tested shapes are learned from as well, since some sets hold shapes twice; *new*: the
 marks of the others. *To 0.80*: the epoch whose median IoU first reaches that. OUT also gets
-epochs.png, coloured shapes beside their truth, and in files/ each network, for `load_labeller`. The
-same command after an interruption goes on from the last epoch.
+coloured shapes beside their truth, and in files/ each network, for `load_labeller`. The same
+command after an interruption goes on from the last epoch.
 """
 
 from __future__ import annotations
@@ -34,7 +34,6 @@ from spectra_kit._core.threads import usable_cores
 from spectra_kit._core.types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.show import Page, Thumbnail, plot_thumbnails
-from studies import figures
 from studies.learning.labelled import SEGMENTED, LabelledSet, labelled_set
 from studies.learning.segmentation import (
     EMBEDDINGS,
@@ -45,7 +44,7 @@ from studies.learning.segmentation import (
     segment_all,
 )
 from studies.machine import describe_machine
-from studies.report import Table, write_report
+from studies.report import Table, unless_missing, write_report
 from studies.study import Result, measured_by
 
 Results = Sequence[Result[PartsRow, int]]
@@ -90,9 +89,9 @@ def measure(args: argparse.Namespace) -> bool:
     )
     results = segment_all(parts, jobs=args.jobs, progress=True)
     found = summarize(results)
-    drawn = [_draw_curves(found, args.out / "epochs.png")] if found else []
+    drawn = list[Path]()
     if not args.no_pictures:
-        with figures.unless_missing("shapes are"):
+        with unless_missing("shapes are"):
             drawn += draw_extremes(results, parts)
     write_report(
         args.out,
@@ -147,24 +146,6 @@ def summarize(results: Results) -> dict[PartsRow, dict[str, Any]]:
 
 def _reached(curve: Floats) -> int | None:
     return next((int(epoch) for epoch, value in curve if value >= GOAL), None)
-
-
-def _draw_curves(found: dict[PartsRow, dict[str, Any]], path: Path) -> Path:
-    whole = {row: cells for row, cells in found.items() if not row.shots}
-    few = {row: cells for row, cells in found.items() if row.shots}
-    groups = [group for group in (whole, few) if group]
-    figure, axes = figures.panels("Parts told right after each epoch", len(groups), size=(13, 4.4))
-    for panel, group in zip(axes, groups, strict=True):
-        for i, (row, cells) in enumerate(group.items()):
-            curves = np.array(cells["curves"])
-            figures.band(panel, curves[0, :, 0], curves[:, :, 1], str(row), **figures.line(i))
-        panel.axhline(GOAL, color="0.6", lw=0.8)
-        panel.set_xscale("log")
-        panel.set_ylim(0.4, 1)
-        panel.set_xlabel("epoch")
-        panel.set_ylabel("mean IoU")
-        panel.legend(fontsize=6, frameon=False, loc="lower right")
-    return figures.save(figure, path)
 
 
 def draw_extremes(results: Results, parts: Parts) -> list[Path]:

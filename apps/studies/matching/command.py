@@ -36,8 +36,8 @@ lower by as much; front for back is in neither, and both are blank without a sym
 distance along edges to where the transposed functional map leads back.
 
 OUT also gets the spectra, the maps (source vertex of each target point; the name of the .npy ends
-with the key in matching.csv), accuracy curves, how far confidences can be believed, and pictures of
-the best, the median and the worst pairs. Other weights, or another version, are measured anew.
+with the key in matching.csv), and pictures of the best, the median and the worst pairs. Other
+weights, or another version, are measured anew.
 """
 
 from __future__ import annotations
@@ -57,10 +57,7 @@ from spectra_kit._core.threads import usable_cores
 from spectra_kit.geometry import PointCloud
 from spectra_kit.maps import FLIP_MARGIN, MapErrors, geodesic_errors
 from spectra_kit.show import MatchedPair, Page, View, plot_correspondences
-from studies import figures
 from studies.machine import describe_machine
-from studies.matching.calibration import DOUBT, draw_calibration
-from studies.matching.measures import THRESHOLDS
 from studies.matching.methods import METHODS
 from studies.matching.pairs import BACKENDS, KINDS, Pair, Pairs, Spectra, Way, match_all, ways
 from studies.matching.sets import (
@@ -72,7 +69,7 @@ from studies.matching.sets import (
     triangulated_sets,
 )
 from studies.matching.subjects import truth_between
-from studies.report import Table, ratio, write_report
+from studies.report import Table, ratio, unless_missing, write_report
 from studies.store import Record
 from studies.study import Result, measured_by
 
@@ -81,10 +78,11 @@ Results = Sequence[Result[Way, Pair]]
 DEFAULT = next(iter(METHODS))
 #: A pair with a mean error above this is wrong.
 BAD = 8.0
+#: Maps with less confidence are doubted.
+DOUBT = 0.5
 _FEW = 5  # pairs in six triangulations, where no other number is asked for
 _ALL = 10**9  # pairs to draw these from
 _WORST = 3  # pairs of a set that are drawn, beside the best and the median
-_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50)  # less is drawn as the first
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -121,12 +119,9 @@ def options(parser: argparse.ArgumentParser) -> None:
 def measure(args: argparse.Namespace) -> bool:
     """Match and report; return whether there is a result."""
     matched = [_matched(one, args) for one in _sets(args)]
-    drawn = [
-        *(_draw_accuracy(one, args.out) for one in matched if one.by_way),
-        *_draw_calibrations(matched, args.out),
-    ]
+    drawn = list[Path]()
     if not args.no_pictures:
-        with figures.unless_missing("best, median and worst pairs are"):
+        with unless_missing("best, median and worst pairs are"):
             drawn += [path for one in matched for path in draw_extremes(one)]
     report(args.out, matched, drawn)
     return any(result.ok for one in matched for result in one.results)
@@ -307,46 +302,6 @@ def doubts(record: Record) -> bool:
 
 
 # --- figures ---
-
-
-def _draw_accuracy(matched: Matched, folder: Path) -> Path:
-    """Draw the share of points within each error, for every way, and over the pairs."""
-    protocol = matched.set.protocol
-    figure, (points, pairs) = figures.panels(matched.set.name, 2)
-    for i, (way, results) in enumerate(matched.by_way.items()):
-        records = [result.record for result in results]
-        curves = [r["accuracy_either" if protocol.symmetric else "accuracy"] for r in records]
-        shares = 100 * np.mean(curves, axis=0)
-        points.plot(THRESHOLDS, shares, label=way.label, **figures.line(i))
-        errors = np.sort([max(counted(record, protocol), _TICKS[0]) for record in records])
-        share = 100 * np.arange(len(errors) + 1) / len(errors)
-        pairs.step(np.append(errors[0], errors), share, where="post", **figures.line(i))
-    points.set(xlim=(0, 10), xlabel="geodesic error (100 / √area)", ylabel="points (%)")
-    pairs.set(xscale="log", xlabel="mean error of a pair (100 / √area)", ylabel="pairs (%)")
-    low, high = pairs.get_xlim()
-    figures.ticks(pairs, [tick for tick in _TICKS if low <= tick <= high])
-    pairs.axvline(BAD, color="0.6", lw=0.8, zorder=0)
-    for panel in (points, pairs):
-        panel.set_ylim(0, 101)
-    points.legend(frameon=False, fontsize=8, loc="lower right")
-    return figures.save(figure, folder / f"accuracy-{matched.set.name}.png")
-
-
-def _draw_calibrations(matched: Sequence[Matched], folder: Path) -> list[Path]:
-    """Draw how far confidences can be believed, over all sets, for each way that tells them."""
-    told: dict[Way, list[tuple[float, bool]]] = {}
-    for one in matched:
-        for way, results in one.by_way.items():
-            for record in (result.record for result in results):
-                if not math.isnan(record["confidence"]):
-                    right = counted(record, one.set.protocol) <= BAD
-                    told.setdefault(way, []).append((record["confidence"], right))
-    return [
-        draw_calibration(
-            folder / f"calibration-{way}.png", *zip(*maps, strict=True), title=way.label
-        )
-        for way, maps in told.items()
-    ]
 
 
 def draw_extremes(matched: Matched) -> list[Path]:

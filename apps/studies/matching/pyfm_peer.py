@@ -11,11 +11,6 @@ from __future__ import annotations
 import sys
 import time
 
-#: What is run, for reports.
-PARAMETERS = (
-    "pyFM with the parameters of its README (version 1.3.1): 30 modes fitted to wave kernel"
-    " signatures with orientation, ZoomOut to 110"
-)
 MISSING = 3  # exit status
 _DESCRIBED = 128  # modes of its signatures, where nothing else is said
 
@@ -41,7 +36,8 @@ def main() -> int:
         mesh.process(k)
     solved, cpu = time.perf_counter(), time.process_time()
     model = FunctionalMapping(*meshes)
-    # The quick start of its README, version 1.3.1, letter by letter.
+    # The quick start of its README, version 1.3.1, letter by letter: 30 modes fitted to wave kernel
+    # signatures with orientation, ZoomOut to 110.
     model.preprocess(descr_type="WKS", subsample_step=2, k_process=k)
     model.fit(K=30, w_descr=1e0, w_lap=1e-1, w_dcomm=1e0, w_orient=1e0)
     point_map = model.get_p2p(model.zoomout_refine(nit=16, step=5))

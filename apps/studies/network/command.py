@@ -57,7 +57,7 @@ import torch
 from spectra_kit._core.types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.show import Page, plot_comparison
-from studies import figures, paper
+from studies import paper
 from studies.machine import describe_machine
 from studies.network.cases import procedural_shapes
 from studies.network.findings import (
@@ -73,15 +73,13 @@ from studies.network.findings import (
 )
 from studies.network.questions import QUESTIONS, Answer, Settings, ask
 from studies.network.training import write_training
-from studies.report import Table, write_report
+from studies.report import Table, unless_missing, write_report
 from studies.shapes import Shape, data_folder, demo_shapes, shapes_in
 from studies.store import Record, Store
 
 CHAPTERS = [*QUESTIONS, "training"]
 ERRORS = {"span": "span error", "vector": "eigenvector error", "value": "eigenvalue error"}
-_LINES = 6  # in one panel
 _DRAWN = 3  # modes of a shape
-_ROUNDING = 1e-10
 # A small case of everything: seconds for each question.
 _QUICK = {"k": 16, "points": [512, 1024], "focus": 1024, "poses": [1, 2], "fourier": []}
 _QUICK |= {"bandwidths": [7.0], "rotations": 3, "worst": 1, "limit": 1, "procedural": 1}
@@ -157,11 +155,11 @@ def _sets(args: argparse.Namespace) -> dict[str, tuple[Shape, ...]]:
 
 
 def write_answer(answer: Answer, folder: Path, *, worst: int = 0) -> Path:
-    """Write the tables of a question and its figures, so many of the worst models drawn, too."""
-    (folder / "figures").mkdir(parents=True, exist_ok=True)
-    drawn, rows = _draw(answer, folder / "figures"), [row for row in answer.rows if row.cases]
+    """Write the tables of a question, and draw so many of the worst models."""
+    rows, drawn = [row for row in answer.rows if row.cases], list[Path]()
     if answer.name == "models" and worst:
-        with figures.unless_missing("the worst modes are"):
+        (folder / "figures").mkdir(parents=True, exist_ok=True)
+        with unless_missing("the worst modes are"):
             drawn += draw_worst(answer, folder / "figures", count=worst)
     names = dict.fromkeys((name for row in rows for name in row.labels), "")
     errors = {
@@ -253,26 +251,6 @@ def _ranked(one: Beside) -> list[Record]:
 # --- figures ---
 
 
-def _draw(answer: Answer, folder: Path) -> list[Path]:
-    """Draw what a question has to show: ``QUESTION-WHAT.png`` each."""
-    rows, name = [row for row in answer.rows if row.cases], answer.name
-    if name in ("models", "rotation"):  # whose tables tell all
-        return []
-    drawn = []
-    for place in dict.fromkeys(row.place for row in rows):
-        here = [row for row in rows if row.place == place]
-        title = str(place)
-        points = f"-{place.points}-points" if place.points else ""
-        path = folder / f"{name}-{place.models}{points}"
-        drawn.append(_modes(here, title, path.with_name(f"{path.name}-modes.png")))
-    quantity = {"accuracy": "points", "precision": "points", "redundancy": "m"}.get(name, "")
-    for models in dict.fromkeys(row.place.models for row in rows if quantity):
-        these = [row for row in rows if row.place.models == models]
-        if len({row.labels[quantity] for row in these}) > 1:
-            drawn.append(_against(these, quantity, folder / f"{name}-{models}-{quantity}.png"))
-    return drawn
-
-
 def draw_worst(answer: Answer, folder: Path, *, count: int = 3) -> list[Path]:
     """Draw the worst modes of the models that `Neo` does worst: exact, predicted, difference."""
     drawn = []
@@ -300,58 +278,3 @@ def draw_worst(answer: Answer, folder: Path, *, count: int = 3) -> list[Path]:
 
 def _slug(text: str) -> str:
     return text.replace(", ", "-").replace(" ", "-")
-
-
-def _modes(rows: Sequence[Row], title: str, path: Path) -> Path:
-    """Each error against the mode number: median over cases, and quartiles as a band."""
-    figure, axes = figures.panels(title, 3)
-    for i, row in enumerate(_best_bandwidths(rows)[:_LINES]):
-        for panel, error in zip(axes, ERRORS, strict=True):
-            modes = row.modes(error)
-            # The constant mode is inside every span up to rounding: nothing for such an axis.
-            number = np.flatnonzero((modes > _ROUNDING).all(axis=0))
-            name = ", ".join(_words(row, but=("models", "points", "weights")))
-            figures.band(panel, number, modes[:, number], name, color=figures.colour(i), lw=1.4)
-    for panel, what in zip(axes, ERRORS.values(), strict=True):
-        panel.set(title=what, xlabel="mode", yscale="log")
-    figures.legend(figure, axes[0])
-    return figures.save(figure, path)
-
-
-def _against(rows: Sequence[Row], quantity: str, path: Path) -> Path:
-    """Each error against a number: median over cases, and quartiles as a band."""
-    figure, axes = figures.panels(rows[0].place.models, 3)
-    lines: dict[tuple[str, ...], list[Row]] = {}
-    for row in rows:
-        lines.setdefault(tuple(_words(row, but=("models", quantity, "weights"))), []).append(row)
-    kept = _best_bandwidths([line[0] for line in lines.values()])[:_LINES]
-    shown = {name: line for name, line in lines.items() if line[0] in kept}
-    for i, (name, line) in enumerate(shown.items()):
-        at = [int(row.labels[quantity]) for row in line]
-        for panel, error in zip(axes, ERRORS, strict=True):
-            quartiles = [np.percentile(row.means(error), (25, 50, 75)) for row in line]
-            low, median, high = np.transpose(quartiles)
-            panel.plot(at, median, color=figures.colour(i), marker="o", label=", ".join(name))
-            panel.fill_between(at, low, high, color=figures.colour(i), alpha=0.15, lw=0)
-    for panel, what in zip(axes, ERRORS.values(), strict=True):
-        panel.set(title=what, xlabel=quantity, yscale="log")
-        figures.ticks(panel, [int(row.labels[quantity]) for row in rows])
-    figures.legend(figure, axes[0])
-    return figures.save(figure, path)
-
-
-def _words(row: Row, *, but: Sequence[str]) -> list[str]:
-    """Labels as words."""
-    shown = {name: value for name, value in row.labels.items() if name not in but}
-    return [f"{name} = {v:,}" if isinstance(v, int) else v for name, v in shown.items()]
-
-
-def _best_bandwidths(rows: Sequence[Row]) -> list[Row]:
-    """All networks, and of the methods with plane waves only the best of each size."""
-    best: dict[object, Row] = {}
-    for row in rows:
-        method = row.method
-        key = method.name if method.poses else (method.group, method.columns)
-        if key not in best or row.mean() < best[key].mean():
-            best[key] = row
-    return list(best.values())

@@ -6,18 +6,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from spectra_kit._core.types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.pretrained import load_pretrained
-from spectra_kit.show.layout import log_ticks
-from studies import figures
+from spectra_kit.show.layout import Page, line_style, log_ticks, new_diagram, tidy
+from spectra_kit.show.picture import PathLike, plotted
 from studies.machine import describe_machine
 from studies.network.methods import check_labels, label
 from studies.report import Table, write_report
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _FEWEST = 4  # validations for the three numbers of a law
 _FURTHER = 10  # times the hours, up to where the law is drawn
@@ -118,33 +121,41 @@ def write_training(weights: Sequence[str], folder: Path) -> Path:
         row |= {"least": curve.errors.min(), **law, "promise": curve.promise}
         curve_of = {"samples": curve.samples, "hours": curve.hours, "errors": curve.errors}
         rows.append({**row, "curve": curve_of})
+    drawn = folder / "figures" / "training-hours.png"
+    drawn.parent.mkdir(parents=True, exist_ok=True)
+    title = "Span error of validation samples against core-hours of training"
+    plot_training(curves, path=drawn, page=Page(title, dpi=150))
     return write_report(
         folder,
         "training",
         [],
         [Table("Validations of the training", rows, _COLUMNS)],
         describe_machine(),
-        figures=[_draw(curves, folder / "figures" / "training-hours.png")],
+        figures=[drawn],
     )
 
 
-def _draw(curves: Sequence[Curve], path: Path) -> Path:
+@plotted
+def plot_training(
+    curves: Sequence[Curve], *, path: PathLike | None = None, page: Page = Page()
+) -> Figure:
     """Draw validations as dots, and their law on to ten times the hours."""
     kinds = list(dict.fromkeys(curve.what for curve in curves))
-    title = "Span error of validation samples against core-hours of training"
-    figure, axes = figures.panels(title, len(kinds))
+    figure = new_diagram(page, 12 if len(kinds) > 1 else 8, 4)
+    axes = figure.subplots(1, len(kinds), squeeze=False)[0]
     for i, curve in enumerate(curves):
-        panel = axes[kinds.index(curve.what)]
+        panel, colour = axes[kinds.index(curve.what)], line_style(i)[0]
         name = f"{curve.name}, {curve.device or 'cores untold'}, {curve.what}"
-        panel.plot(curve.hours, curve.errors, **figures.dots(i) | {"ls": ""}, label=name)
+        panel.plot(curve.hours, curve.errors, color=colour, marker="o", ls="", label=name)
         if law := curve.law:
             hours = np.geomspace(curve.hours[0], _FURTHER * curve.hours[-1], 200)
             errors = law.at(hours * (curve.samples[-1] / curve.hours[-1]))
             told = f"{law.c:.2g} (samples + {law.s0:,.0f})$^{{-{law.p:.3f}}}$"
-            panel.plot(hours, errors, color=figures.colour(i), ls="--", lw=1.2, label=told)
+            panel.plot(hours, errors, color=colour, ls="--", lw=1.2, label=told)
         panel.set(title=curve.what, xlabel="hours", xscale="log", yscale="log")
     axes[0].set(ylabel="span error")
     for panel in axes:
+        tidy(panel)
         log_ticks(panel.yaxis)
         panel.legend(fontsize=8, frameon=False)
-    return figures.save(figure, path)
+    return figure
