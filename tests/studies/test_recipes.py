@@ -5,8 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from studies.recipes import REAL, STEPS, Recipe, geometry_digest, real_meshes
+from studies.recipes import REAL, STEPS, Recipe, real_meshes
 
+from spectra_kit._core.fingerprint import shape_digest
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import TriangleMesh, sphere, write
 from spectra_kit.operators import robust_laplacian
@@ -45,7 +46,7 @@ def test_the_set_is_large_varied_and_split_without_a_shared_source():
 def test_the_same_recipe_makes_the_same_arrays_and_another_seed_others(tmp_path, name, value):
     first, again = (after(((name, value),), path=tmp_path) for _ in range(2))
     other = after(((name, value),), path=tmp_path, seed=1)
-    assert geometry_digest(first) == geometry_digest(again) != geometry_digest(other)
+    assert shape_digest(first) == shape_digest(again) != shape_digest(other)
 
 
 def test_midpoints_keep_the_surface_and_loop_comes_nearer_to_a_ball():
@@ -124,7 +125,7 @@ def test_members_are_what_they_are_called(name):
         pytest.skip(member.missing)
     geometry = member.make()
     assert 20_000 <= geometry.n <= 500_000
-    assert geometry_digest(geometry) == geometry_digest(member.make())
+    assert shape_digest(geometry) == shape_digest(member.make())
     assert isinstance(geometry, TriangleMesh) == (member.kind == "mesh")
     if isinstance(geometry, TriangleMesh):
         parts = {"hippo": 3, "40 parts": 40, "12 parts": 12}[name]
