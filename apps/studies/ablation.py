@@ -142,25 +142,16 @@ class Trial(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Clouds(Study[Path, str]):
-    """Networks, by their weights, on sets of clouds: errors of each cloud, means over the modes.
-
-    Attributes
-    ----------
-    validation : Corpus
-        Its first `held_out` samples are the set of this name.
-    meshes : sequence of Path
-        Sampled in two ways, with so many `points`; their `k` exact modes are made when the first
-        network needs them.
-    """
+    """Networks, by their weights, on sets of clouds: errors of each cloud, means over the modes."""
 
     name: ClassVar[str] = "clouds"
     fresh: ClassVar[bool] = False
 
     validation: Corpus
-    held_out: int
-    meshes: Sequence[Path]
-    points: int
-    k: int
+    held_out: int  #: So many samples of the validation.
+    meshes: Sequence[Path]  #: Sampled in two ways.
+    points: int  #: Of each sample.
+    k: int  #: Exact modes, made when the first network needs them.
 
     @cached_property
     def inputs(self) -> dict[str, object]:

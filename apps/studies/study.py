@@ -66,11 +66,6 @@ class Repeats(Generic[Contender, Problem]):
         """Whether all were measured."""
         return all(result.ok for result in self.results)
 
-    @property
-    def reason(self) -> str:
-        """Why the first that was not measured was not."""
-        return next((result.reason for result in self.results if not result.ok), "")
-
     def values(self, name: str) -> list[Any]:
         """Return what the records hold under a name, without those that do not."""
         found = (result.record.get(name) for result in self.results)

@@ -22,7 +22,9 @@ from studies.learning.classification import (
 from studies.learning.classify import summarize
 from studies.learning.labelled import SEGMENTED, demo_set, read_set
 from studies.learning.segment import held_out
-from studies.learning.segmentation import Parts, PartsRow, marks, parts_rows, segment_all
+from studies.learning.segmentation import Parts, PartsRow, marks, parts_rows
+from studies.store import Store
+from studies.study import run
 
 from spectra_kit.errors import InvalidInputError
 
@@ -190,7 +192,7 @@ def test_parts_are_learned_and_kept(shapes, tmp_path):
     }
     shapes = replace(shapes, **twice)  # one of the test split is learned from, too
     study = Parts(folder=tmp_path, contenders=[row], problems=[0], sets={"demo": shapes}, epochs=3)
-    (result,) = segment_all(study, jobs=0)
+    (result,) = run(study, Store(tmp_path), jobs=0)
     record = result.record
     assert record["examples"] == 9
     assert record["seen"] == 1
@@ -272,5 +274,6 @@ def test_both_commands_write_their_tables(tmp_path):
     assert command.main([*words, "--jobs", "0"]) == 0
     [found] = json.loads((out / "segmentation.json").read_text())["tables"]["Parts told right"]
     assert (found["row"], found["seeds"], found["epochs"]) == (row, 1, 1)
+    assert {"new: iou", "to 0.80"} <= found.keys()
     assert (out / "parts_demo.png").stat().st_size > 5000
     assert command.main([*words[:5], "magic"]) == 2

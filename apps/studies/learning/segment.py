@@ -26,7 +26,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -41,11 +40,11 @@ from studies.learning.segmentation import (
     Parts,
     PartsRow,
     parts_rows,
-    segment_all,
 )
 from studies.machine import describe_machine
 from studies.report import Table, unless_missing, write_report
-from studies.study import Result, measured_by
+from studies.store import Record, Store
+from studies.study import Result, measured_by, run
 
 Results = Sequence[Result[PartsRow, int]]
 
@@ -87,8 +86,7 @@ def measure(args: argparse.Namespace) -> bool:
         epochs=args.epochs,
         validated=args.validate,
     )
-    results = segment_all(parts, jobs=args.jobs, progress=True)
-    found = summarize(results)
+    results = run(parts, Store(args.out), jobs=args.jobs, retry=True, progress=True)
     drawn = list[Path]()
     if not args.no_pictures:
         with unless_missing("shapes are"):
@@ -98,7 +96,7 @@ def measure(args: argparse.Namespace) -> bool:
         "segmentation",
         results,
         [
-            Table("Parts told right", [{"row": str(r), **c} for r, c in found.items()], _COLUMNS),
+            Table("Parts told right", summarize(results), _COLUMNS),
             Table("Held out", held_out(parts), {"set": "", "seed": "d", "source": ""}),
         ],
         describe_machine(),
@@ -109,7 +107,7 @@ def measure(args: argparse.Namespace) -> bool:
     return any(result.ok for result in results)
 
 
-def held_out(parts: Parts) -> list[dict[str, Any]]:
+def held_out(parts: Parts) -> list[Record]:
     """Tell which source of each set, all of it, each seed holds out to choose by."""
     return [
         {"set": name, "seed": seed, "source": source}
@@ -119,29 +117,29 @@ def held_out(parts: Parts) -> list[dict[str, Any]]:
     ]
 
 
-def summarize(results: Results) -> dict[PartsRow, dict[str, Any]]:
-    """Return, by row, means and worst of all seeds."""
+def summarize(results: Results) -> list[Record]:
+    """Return means and worst of all seeds of each row."""
     groups = {row: [result.record for result in some] for row, some in measured_by(results).items()}
-    return {
-        row: {
+    return [
+        {
+            "row": str(row),
             **{mark: float(np.mean([r[mark] for r in records])) for mark in _MARKS},
             "worst": min(r["iou"] for r in records),
             "deviation": float(np.std([r["iou"] for r in records])),
             "turned": float(np.mean([r["turned"]["iou"] for r in records])),
             "seen": max(r["seen"] for r in records),
-            "new": {
-                mark: float(np.mean([r["unseen"][mark] for r in records if r["unseen"]] or np.nan))
+            **{
+                f"new: {mark}": float(np.mean([r["unseen"][mark] for r in records if r["unseen"]]))
                 for mark in _MARKS
+                if any(r["unseen"] for r in records)
             },
+            "to 0.80": _reached(np.median([r["curve"] for r in records], axis=0)),
             "epochs": int(records[0]["curve"][-1][0]),
-            "reached": _reached(np.median([r["curve"] for r in records], axis=0)),
-            "curves": [r["curve"] for r in records],
             "weights": records[0]["weights"],
-            "examples": records[0]["examples"],
             "seeds": len(records),
         }
         for row, records in groups.items()
-    }
+    ]
 
 
 def _reached(curve: Floats) -> int | None:
@@ -150,14 +148,11 @@ def _reached(curve: Floats) -> int | None:
 
 def draw_extremes(results: Results, parts: Parts) -> list[Path]:
     """Draw the median and the worst shape of each set's first row beside their truth."""
-    made, done = list[Path](), set[str]()
+    first: dict[str, Result[PartsRow, int]] = {}
     for result in results:
-        row = result.contender
-        if not result.ok or row.set in done:
-            continue
-        done.add(row.set)
-        made.append(_draw_shapes(result, parts.sets[row.set], parts.folder))
-    return made
+        if result.ok:
+            first.setdefault(result.contender.set, result)
+    return [_draw_shapes(one, parts.sets[name], parts.folder) for name, one in first.items()]
 
 
 def _draw_shapes(result: Result[PartsRow, int], shapes: LabelledSet, folder: Path) -> Path:

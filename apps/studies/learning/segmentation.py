@@ -21,8 +21,8 @@ from spectra_kit.learn.fitting import Model, fit, predicted, with_copies
 from spectra_kit.learn.labellers import Segmenter, carried, labels_of
 from studies.learning.classification import OF_POINTS, SOLVERS, SOURCES, View
 from studies.learning.labelled import LabelledSet
-from studies.store import Record, Store
-from studies.study import Result, Study, run
+from studies.store import Record
+from studies.study import Study
 
 POINTS = 2048  #: Of a cloud.
 K = 96  #: Modes.
@@ -289,10 +289,3 @@ def _edges_right(mesh: TriangleMesh, truth: Ints, logarithms: Floats) -> tuple[F
     right = np.bincount(edge, beside, minlength=len(edges)) > 0
     weights = np.bincount(edge, np.repeat(mesh.face_areas, 3), minlength=len(edges)) / 3
     return right.astype(np.float64), weights
-
-
-def segment_all(
-    parts: Parts, *, jobs: int = 1, progress: bool = False
-) -> list[Result[PartsRow, int]]:
-    """Measure what is not remembered."""
-    return run(parts, Store(parts.folder), jobs=jobs, retry=True, progress=progress)

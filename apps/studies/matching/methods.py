@@ -13,7 +13,7 @@ import numpy as np
 from spectra_kit._core.files import temporary_folder
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit.eigen import Spectrum
-from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
+from spectra_kit.errors import InvalidInputError, SpectraKitError
 from spectra_kit.features import normalize_descriptors, wave_kernel_signature
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.maps import FitWeights, fit_functional_map, match, prepare, zoomout
@@ -102,22 +102,13 @@ def match_pyfm(source: Side, target: Side, *, python: str = sys.executable) -> O
         np.savez(given, V1=a.points, F1=a.faces, V2=b.points, F2=b.faces, k=k)
         command = [python, str(pyfm_peer.__file__), str(given), str(answer)]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
-        except OSError as error:
-            raise MissingDependencyError(
-                f"the Python of pyFM must be a program, got {python} ({error})",
-                advice="name another",
-            ) from error
-        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        if done.returncode == pyfm_peer.MISSING:
-            raise MissingDependencyError(
-                f"pyFM must be installed in {python}, cannot be imported ({last})",
-                advice="pip install pyfmaps there, or name another Python",
-            )
-        if done.returncode:
+            subprocess.run(command, capture_output=True, text=True, check=True)
+        except (OSError, subprocess.CalledProcessError) as error:
+            said = (getattr(error, "stderr", "") or str(error)).strip().splitlines()[-1]
             raise SpectraKitError(
-                f"pyFM failed on this pair with exit status {done.returncode} ({last})"
-            )
+                f"pyFM failed on this pair in {python} ({said}); where it is missing, pip install"
+                " pyfmaps there, or name another Python"
+            ) from error
         with np.load(answer) as file:
             seconds, cpu_seconds = float(file["seconds"]), float(file["cpu_seconds"])
             return Outcome(file["point_map"].astype(np.int64), seconds, cpu_seconds)

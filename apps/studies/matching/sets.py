@@ -59,8 +59,6 @@ def make_protocol(
     A larger number adds pairs to those of a smaller one. `listed` is the file of "ren-300", two
     names in each line; those of which one is missing are left out.
     """
-    if name not in PROTOCOLS:
-        raise InvalidInputError("name", f"be one of {', '.join(PROTOCOLS)}", repr(name))
     everyone = list(subjects)
     if name == "ren-300":
         present = {subject.name for subject in everyone}

@@ -5,10 +5,10 @@ Every number and figure at once, or one question:
     python apps/studies/run.py network OUT all
     python apps/studies/run.py network OUT accuracy --points 2048 8192 --limit 5
 
-OUT gets tables of each question, and figures. `training` solves nothing: it draws the validations
-that lie in the weights files. Figures are statistics over models of each model's mean over modes;
-times are medians of wall time and leave out assembly and certificates: the study `eigensolvers`
-compares them better.
+OUT gets tables of each question, and pictures of the worst modes. `training` solves nothing: it
+draws the validations that lie in the weights files. Figures are statistics over models of each
+model's mean over modes; times are medians of wall time and leave out assembly and certificates: the
+study `eigensolvers` compares them better.
 
 - precision: the dense algebra is float64 throughout.
 - sampling: of non-uniform samples the density falls off like a Gaussian around a random point.
@@ -80,6 +80,9 @@ from studies.store import Record, Store
 CHAPTERS = [*QUESTIONS, "training"]
 ERRORS = {"span": "span error", "vector": "eigenvector error", "value": "eigenvalue error"}
 _DRAWN = 3  # modes of a shape
+# Options that are those of `Settings`.
+_GIVEN = ("weights", "k", "points", "focus", "few", "poses", "fourier", "bandwidths")
+_GIVEN += ("rotations", "device")
 # A small case of everything: seconds for each question.
 _QUICK = {"k": 16, "points": [512, 1024], "focus": 1024, "poses": [1, 2], "fourier": []}
 _QUICK |= {"bandwidths": [7.0], "rotations": 3, "worst": 1, "limit": 1, "procedural": 1}
@@ -111,20 +114,8 @@ def measure(args: argparse.Namespace) -> None:
     if args.quick:
         vars(args).update(_QUICK)
     if args.question != "training":
-        settings = Settings(
-            sets=_sets(args),
-            weights=tuple(args.weights),
-            agnostic=tuple(args.agnostic_weights),
-            k=args.k,
-            points=tuple(args.points),
-            focus=args.focus,
-            few=args.few,
-            poses=tuple(args.poses),
-            fourier=tuple(args.fourier),
-            bandwidths=tuple(args.bandwidths),
-            rotations=args.rotations,
-            device=args.device,
-        )
+        given = {name: getattr(args, name) for name in _GIVEN}
+        settings = Settings(sets=_sets(args), agnostic=args.agnostic_weights, **given)
         store = Store(args.out)
         for name in QUESTIONS if args.question == "all" else [args.question]:
             answer = ask(name, settings, store, progress=True)

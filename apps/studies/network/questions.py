@@ -39,15 +39,15 @@ class Settings:
     """What all questions are asked about."""
 
     sets: Mapping[str, tuple[Shape, ...]]  #: statistics are taken over each
-    weights: tuple[str, ...]  #: questions about one network take the first
-    agnostic: tuple[str, ...] = ()  #: networks that were trained without masses
+    weights: Sequence[str]  #: questions about one network take the first
+    agnostic: Sequence[str] = ()  #: networks that were trained without masses
     k: int = 96  #: modes
-    points: tuple[int, ...] = (512, 2048, 8192, 65536)  #: sampled on every shape
+    points: Sequence[int] = (512, 2048, 8192, 65536)  #: sampled on every shape
     focus: int = 8192  #: points where a question looks at one number of them
-    poses: tuple[Poses, ...] = (1, 2, 4)
-    fourier: tuple[int, ...] = (640,)  #: plane waves, beside as many as a network has functions
+    poses: Sequence[Poses] = (1, 2, 4)
+    fourier: Sequence[int] = (640,)  #: plane waves, beside as many as a network has functions
     few: int | None = None  #: shapes of each set on clouds of more than 16,384 points
-    bandwidths: tuple[float, ...] = (7.0, 10.0)  #: comparisons are made with the best
+    bandwidths: Sequence[float] = (7.0, 10.0)  #: comparisons are made with the best
     sigma: float = 0.25  #: of non-uniform samples
     rotations: int = 10  #: of each cloud
     device: str = "cpu"
@@ -98,8 +98,6 @@ class Answer:
 
 def ask(name: str, settings: Settings, store: Store, *, progress: bool = False) -> Answer:
     """Measure what a question needs and the store does not hold."""
-    if name not in QUESTIONS:
-        raise InvalidInputError("name", f"be one of {', '.join(QUESTIONS)}", repr(name))
     question = QUESTIONS[name]
     places, methods = list(question.places(settings)), list(question.methods(settings))
     study = Accuracy(
