@@ -1,6 +1,8 @@
 """The study of eigensolvers: what is measured, and what follows from it."""
 
 import json
+import pickle
+from functools import partial
 
 import numpy as np
 import pytest
@@ -37,6 +39,8 @@ def test_the_command_measures_reports_and_goes_on(tmp_path, monkeypatch, capsys)
     steps = {"steps": (("sample", 600),), "traits": ("smooth",)}
     small = Recipe(name="small", sources=("creature:600",), **steps)
     monkeypatch.setattr(app, "REAL", {"small": small})
+    monkeypatch.setattr(app, "run", partial(run, jobs=0))  # processes are the harness's
+    monkeypatch.setattr(solves, "sphere", lambda **_: sphere(subdivisions=3))  # to warm up: small
     words = ["eigensolvers", str(tmp_path), "--members", "small", "-k", "6", "--repeats", "1"]
     words += ["--threads", "1", "--methods", "arpack", "eigsh", "--machine", "test"]
     assert command.main([*words, "--commit", "c0"]) == 0
@@ -149,6 +153,7 @@ def test_estimates_are_compared_to_true_errors(tmp_path, monkeypatch):
 def test_what_is_absent_or_failed_is_not_tried(tmp_path, monkeypatch):
     monkeypatch.setitem(METHODS, "lapy", Method(make=Arpack, needs="no_such_module"))
     solves = study(tmp_path)
+    assert pickle.loads(pickle.dumps(solves.measure)).__self__.key(Contender("eigsh"), CLOUD)
     (other,) = clouds_of(["creature:600"], [700])
     eigsh = Contender("eigsh")
     assert solves.excuse(eigsh, other, []) == "there is no operator"

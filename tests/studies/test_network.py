@@ -73,15 +73,6 @@ def measured(tmp_path):
     return measure
 
 
-def given(columns_of):
-    """A method with columns from a function of the points, as a test wants them."""
-    return dataclasses.replace(
-        waves(12, 1.0),
-        facts={"given": repr(columns_of)},
-        basis=lambda points, mass: torch.from_numpy(np.array(columns_of(points))),
-    )
-
-
 # --- what is measured ---
 
 
@@ -113,11 +104,8 @@ def test_rotation_moves_the_points_and_nothing_else(measured, animal, tmp_path):
     assert np.abs(before.points - after.points).max() > 0.1
 
     framed = waves(100, 4.0)  # in the canonical frame: the same in every rotation
-    fixed = np.random.default_rng(0).normal(scale=4.0, size=(3, 100))
-    posed = given(lambda points: np.sin(points @ fixed + 1))
-    a, c, b, d = (np.array(r["span"]) for r in measured([framed, posed], [case, turned]))
+    a, b = (np.array(r["span"]) for r in measured([framed], [case, turned]))
     np.testing.assert_allclose(a, b, atol=1e-9)
-    assert abs(c.mean() / d.mean() - 1) > 1e-3
     assert len(list(tmp_path.glob("files/exact-*"))) == 1  # one exact solve for all
 
 
@@ -231,14 +219,12 @@ def store(tmp_path_factory):
     return Store(tmp_path_factory.mktemp("store"))
 
 
-@pytest.mark.parametrize("name", QUESTIONS)
+@pytest.mark.parametrize("name", [name for name in QUESTIONS if name != "models"])
 def test_a_question_is_answered(name, settings, store, tmp_path):
     answer = ask(name, settings, store)
     assert all(row.cases for row in answer.rows)
     write_answer(answer, tmp_path)
     tables = json.loads((tmp_path / f"{name}.json").read_text())["tables"]
-    if name == "models":
-        return
     found = tables[QUESTIONS[name].title]
     for line, r in zip(found, answer.rows, strict=True):
         key = "mean span error" if name == "rotation" else "span error, mean"

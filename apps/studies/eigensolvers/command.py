@@ -29,8 +29,8 @@ Beside each method that begins with the network: the best without it in its time
 many times its own (less than 1: the network does not pay), and on how many models nothing without
 it was both as quick and as near.
 
-Other packages are optional: pip install lapy. For a machine without network, fetch the wheels,
-that of lapy among them, as the study `network` explains. Results of machines with an accelerator
+Other packages are optional: pip install lapy cholespy. For a machine without network, fetch the
+wheels, theirs among them, as the study `network` explains. Results of machines with an accelerator
 are kept as apps/results/MACHINE.json and .md (copies of eigensolvers.json and .md).
 """
 

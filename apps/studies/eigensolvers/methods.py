@@ -118,7 +118,7 @@ class Method:
     #: prediction, which has no such test.
     stops: str = ""
     devices: tuple[str, ...] = ("cpu",)  #: Where it can run.
-    #: A module beyond the dependencies of this package, called as on PyPI, or nothing.
+    #: Modules beyond the dependencies of this package, called as on PyPI, or nothing.
     needs: str = ""
     peer: bool = False  #: Whether it is another package's.
     #: Relative error of eigenvalues that it is asked for, in the mean over the modes; 0: not asked.
@@ -130,7 +130,7 @@ class Method:
     @property
     def present(self) -> bool:
         """Whether what it needs is installed."""
-        return not self.needs or find_spec(self.needs) is not None
+        return all(find_spec(name) for name in self.needs.split())
 
 
 _RTOL, _AT_RTOL = 1e-6, "1e-6"  # of every method of ours that takes one
@@ -209,7 +209,7 @@ METHODS: dict[str, Method] = {
     "eigsh": _theirs(ScipyEigsh(), _EXACT),
     "eigsh-1e-6": _theirs(ScipyEigsh(tol=_RTOL), _AT_RTOL),
     "eigsh-dnet": _theirs(DiffusionNetEigsh(), _EXACT),
-    "lapy": _theirs(LapySolver(), _EXACT, needs="lapy"),
+    "lapy": _theirs(LapySolver(), _EXACT, needs="lapy cholespy"),
     "spectra": _theirs(LibiglSpectra(), "default", slow=True),
 }
 #: What tells where the network pays: predictions, starts, a cascade without it, and exact modes.
