@@ -123,12 +123,6 @@ class Worker:
         self._process.wait()
         self._link.close()
 
-    def __enter__(self) -> Worker:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
     def _last_words(self) -> str:
         code = self._process.wait()
         self.close()

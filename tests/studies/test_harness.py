@@ -11,6 +11,7 @@ import sys
 import textwrap
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from importlib import import_module
 from pathlib import Path
 
@@ -203,7 +204,9 @@ def _serving(folder):
 
 
 def test_a_worker_clocks_time_and_memory_and_outlives_a_failure():
-    with Worker(Limits()) as worker:  # a heap that is new has no freed memory to take again
+    with closing(
+        Worker(Limits())
+    ) as worker:  # a heap that is new has no freed memory to take again
         found = worker.call(clock_ones, size := 8_000_000)
         with pytest.raises(FailedError, match="ValueError: "):
             worker.call(int, "no number")

@@ -134,10 +134,10 @@ def test_what_is_chosen_by_sees_no_test_shape(shapes, tmp_path, monkeypatch):
 
 
 def test_the_rows_have_names(shapes):
-    assert rows_named([str(row) for row in FREE + TRAINED]) == FREE + TRAINED
+    assert rows_named([str(row) for row in FREE + TRAINED], FREE + TRAINED) == FREE + TRAINED
     assert len({str(row) for row in FREE + TRAINED}) == len(FREE + TRAINED)
     with pytest.raises(InvalidInputError, match="`rows` must be of these"):
-        rows_named(["dna by magic"])
+        rows_named(["dna by magic"], FREE)
     for name in SEGMENTED:
         assert len(set(parts_rows(name))) == len(parts_rows(name))
 

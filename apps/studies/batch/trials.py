@@ -20,6 +20,7 @@ from spectra_kit.datasets import SpectrumStore
 
 Facts = dict[str, Any]
 _COMMAND = [sys.executable, "-m", "spectra_kit", "batch", "--json", "--quiet"]
+_ALONE = ("--nworkers", "0")  # by one process
 _POLL = 0.05  # seconds between two looks
 
 
@@ -39,11 +40,6 @@ class Setting:
             shutil.rmtree(path, ignore_errors=True)
         self.folder.mkdir(parents=True, exist_ok=True)
         return path
-
-    @property
-    def alone(self) -> tuple[str, ...]:
-        """Options of a run by one process."""
-        return ("--nworkers", "0")
 
     @property
     def shared(self) -> tuple[str, ...]:
@@ -89,7 +85,7 @@ def solved(store: Path) -> int:
 def _speed(setting: Setting) -> Facts:
     """Time one process, the workers, and a second run."""
     one, two = setting.store("one"), setting.store("two")
-    first, alone = setting.run(one, *setting.alone)
+    first, alone = setting.run(one, *_ALONE)
     other, shared = setting.run(two, *setting.shared)
     again, second = setting.run(two, *setting.shared)
     return {
@@ -154,7 +150,7 @@ def _damaged(setting: Setting) -> Facts:
 def _concurrent(setting: Setting) -> Facts:
     """Two runs at once into one store."""
     store, whole = setting.store("concurrent"), setting.store("one", fresh=False)
-    both = [setting.begin(store, *setting.alone) for _ in range(2)]
+    both = [setting.begin(store, *_ALONE) for _ in range(2)]
     told = [ended(process) for process in both]
     return {"computed": [one["computed"] for one in told],
             "failed": [len(one["failed"]) for one in told],

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -116,6 +116,8 @@ class Row(NamedTuple):
         return self.method in NETWORKS
 
 
+NamedRow = TypeVar("NamedRow")
+
 # --- the rows of the table ---
 
 _MESH, _CLOUD = View("mesh", "exact"), View("cloud", "exact")
@@ -153,9 +155,9 @@ TRAINED = [
 ]
 
 
-def rows_named(names: Iterable[str]) -> list[Row]:
+def rows_named(names: Iterable[str], rows: Iterable[NamedRow]) -> list[NamedRow]:
     """Return rows by their names in the table."""
-    known = {str(row): row for row in FREE + TRAINED}
+    known = {str(row): row for row in rows}
     for name in names:
         if name not in known:
             raise InvalidInputError("rows", f"be of these: {' | '.join(known)}", repr(name))

@@ -65,7 +65,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 def measure(args: argparse.Namespace) -> bool:
     """Measure and report; return whether there is a result."""
     shapes = labelled_set(args.set, args.data, CLASSIFIED)
-    table = rows_named(args.rows) if args.rows else FREE + TRAINED * args.trained
+    table = rows_named(args.rows, FREE + TRAINED) if args.rows else FREE + TRAINED * args.trained
     most = most_shots(shapes) - args.validate
     numbers = args.shots or [q for q in (1, 3, 5, 10) if q <= most]
     vectors = Vectors(

@@ -151,7 +151,7 @@ def mark(published: Published, shapes: LabelledSet, chosen: Sequence[int]) -> li
     The shares that are right, and those as with their own operators, right or wrong, are in percent
     of the faces of each body.
     """
-    marks = {
+    marks: dict[tuple[str, str], Record] = {
         (name, inputs): {"maker": name, "inputs": inputs, "right": [], "as_theirs": []}
         for name in makers(published)
         for inputs in INPUTS

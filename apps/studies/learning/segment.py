@@ -31,8 +31,8 @@ import numpy as np
 
 from spectra_kit._core.threads import usable_cores
 from spectra_kit._core.types import Floats
-from spectra_kit.errors import InvalidInputError
 from spectra_kit.show import Page, Thumbnail, plot_thumbnails
+from studies.learning.classification import rows_named
 from studies.learning.labelled import SEGMENTED, LabelledSet, labelled_set
 from studies.learning.segmentation import (
     EMBEDDINGS,
@@ -74,13 +74,10 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 def measure(args: argparse.Namespace) -> bool:
     """Measure and report; return whether there is a result."""
-    table = {str(row): row for name in args.set for row in parts_rows(name)}
-    for name in args.rows or ():
-        if name not in table:
-            raise InvalidInputError("rows", f"be of these: {' | '.join(table)}", repr(name))
+    table = [row for name in args.set for row in parts_rows(name)]
     parts = Parts(
         folder=args.out,
-        contenders=[table[name] for name in args.rows or table],
+        contenders=rows_named(args.rows, table) if args.rows else table,
         problems=list(range(args.seeds)),
         sets={name: labelled_set(name, args.data, SEGMENTED) for name in args.set},
         epochs=args.epochs,

@@ -57,9 +57,8 @@ class PartsRow(NamedTuple):
 
 # --- the rows of the table ---
 
-_EXACT, _PREDICTED, _PREDICTED_MESH = (
-    *(View("mesh", "exact"), View("cloud", "predicted"), View("mesh", "predicted")),
-)
+_EXACT, _PREDICTED_MESH = View("mesh", "exact"), View("mesh", "predicted")
+_PREDICTED = View("cloud", "predicted")
 _SIGNATURES = "heat+waves+global"
 
 
