@@ -191,9 +191,8 @@ def _line(shape: Shape, name: str, rows: Mapping[tuple[str, str], Repeats[str, S
         own, ours = (rows.get((study, who)) for who in (name, UNAIDED))
         line[f"{prefix}seconds"] = own and own.median("seconds")
         for unit, (least, times) in _BEST.items():
-            best, base = (
-                min(row.values(unit), default=None) if row else None for row in (own, ours)
-            )
+            clocked = (row.values(unit) if row else [] for row in (own, ours))
+            best, base = (min(values, default=None) for values in clocked)
             line |= {prefix + least: best, prefix + times: ratio(best, base)}
     line |= {"iterations": iterations(name), "fewer": ratio(iterations(ICPCG), iterations(name))}
     accuracy = rows.get(("accuracy", name))
