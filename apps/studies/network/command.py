@@ -49,6 +49,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -80,9 +81,6 @@ from studies.store import Record, Store
 CHAPTERS = [*QUESTIONS, "training"]
 ERRORS = {"span": "span error", "vector": "eigenvector error", "value": "eigenvalue error"}
 _DRAWN = 3  # modes of a shape
-# Options that are those of `Settings`.
-_GIVEN = ("weights", "k", "points", "focus", "few", "poses", "fourier", "bandwidths")
-_GIVEN += ("rotations", "device")
 # A small case of everything: seconds for each question.
 _QUICK = {"k": 16, "points": [512, 1024], "focus": 1024, "poses": [1, 2], "fourier": []}
 _QUICK |= {"bandwidths": [7.0], "rotations": 3, "worst": 1, "limit": 1, "procedural": 1}
@@ -114,7 +112,8 @@ def measure(args: argparse.Namespace) -> None:
     if args.quick:
         vars(args).update(_QUICK)
     if args.question != "training":
-        given = {name: getattr(args, name) for name in _GIVEN}
+        names = {field.name for field in fields(Settings)} & vars(args).keys()
+        given = {name: getattr(args, name) for name in names}
         settings = Settings(sets=_sets(args), agnostic=args.agnostic_weights, **given)
         store = Store(args.out)
         for name in QUESTIONS if args.question == "all" else [args.question]:
