@@ -68,20 +68,6 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "plain-m-128": {"m": 128, "waves": 0},
     "plain-m-160": {"m": 160, "waves": 0},
 }
-STUDIES: dict[str, tuple[str, ...]] = {
-    "Masses in the attention": ("reference", "mass-agnostic"),
-    "Plane waves": ("plain", "reference", "waves-64"),
-    "Backbone": ("reference", "pointnet++", "point-transformer"),
-    "Functions, with waves": ("m-96", "m-128", "m-160", "reference", "m-256"),
-    "Functions, without waves": (
-        "plain-m-96",
-        "plain-m-128",
-        "plain-m-160",
-        "plain",
-        "plain-m-256",
-    ),
-    "Latents": ("reference", "latents-64", "latents-128"),
-}
 CLOUDS = {"held-out": "held-out samples", "real": "real meshes", "crowded": "real, crowded"}
 Errors = dict[str, dict[str, float]]  # by cloud and kind
 
@@ -252,18 +238,14 @@ def summary(trial: Trial, clouds: Clouds) -> Record:
 
 
 def write(done: dict[str, Record], protocol: dict[str, Record], out: Path) -> None:
-    """Write the tables of what is done: one for each comparison, and a row for each variant."""
+    """Write a table of what is done."""
     shown = {"variant": "", "parameters": ",d", "CPU minutes": ".1f"}
     shown |= {
         f"{of}: {what}": ".4f" for of in CLOUDS.values() for what in ("mean", "std", "median")
     }
-    tables = []
-    for title, names in STUDIES.items():
-        rows = [_line(name, done[name]) for name in names if name in done]
-        if len(rows) > 1:
-            tables.append(Table(title, rows, shown))
+    table = Table("Variants", [_line(name, row) for name, row in done.items()], shown)
     machine = describe_machine(threads=1)
-    write_report(out, "ablation", [], tables, machine, protocol=protocol, variants=done)
+    write_report(out, "ablation", [], [table], machine, protocol=protocol, variants=done)
 
 
 def _line(name: str, row: Record) -> Record:

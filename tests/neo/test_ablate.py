@@ -88,9 +88,6 @@ def test_errors_are_those_of_the_networks(run, report):
 
 def test_the_tables_hold_what_is_done(run, report):
     text = (run.out / "ablation.md").read_text()
-    assert "## Plane waves" in text
-    assert "## Masses in the attention" in text
-    assert "## Latents" not in text  # one variant is no comparison
     parameters = report["variants"]["mass-agnostic"]["parameters"]
     rows = [[cell.strip() for cell in line.split("|")[1:3]] for line in text.splitlines()]
     assert ["mass-agnostic", f"{parameters:,}"] in rows
@@ -127,8 +124,6 @@ def test_other_files_under_the_same_names_are_other_files(run, report, capsys):
     assert "was trained under another protocol, or on other samples" in capsys.readouterr().err
 
 
-def test_variants_of_the_default_network_are_valid_and_in_a_study():
-    for name, changes in ablate.VARIANTS.items():
+def test_variants_of_the_default_network_are_valid():
+    for changes in ablate.VARIANTS.values():
         assert ablate.replace(ablate.TINY, **changes).m < 640
-        assert any(name in names for names in ablate.STUDIES.values())
-    assert {name for names in ablate.STUDIES.values() for name in names} == set(ablate.VARIANTS)
