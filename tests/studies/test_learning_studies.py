@@ -38,7 +38,6 @@ def shapes():
 
 @pytest.fixture(autouse=True)
 def fewer_modes_and_copies(monkeypatch):
-    monkeypatch.setattr(classification, "K", 50)
     monkeypatch.setattr(segmentation, "K", 24)
     monkeypatch.setattr(segmentation, "COPIES", 1)
 
