@@ -171,8 +171,6 @@ def sample_with_origin(
         # Only ratios count: the nearest face keeps its weight, so that not all underflow.
         nearest = squared[weights > 0].min()
         weights = weights * np.exp(-0.5 * np.maximum(squared - nearest, 0.0))
-    elif density != "uniform":
-        raise InvalidInputError("density", 'be "uniform" or a GaussianDensity', repr(density))
     return _draw(mesh, n, weights, rng)
 
 

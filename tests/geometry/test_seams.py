@@ -48,14 +48,14 @@ def far_away(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def ring() -> TriangleMesh:
-    return torus(n=800).geometry
+    return torus(n=400).geometry
 
 
 def octants(mesh: TriangleMesh) -> np.ndarray:
     return (mesh.points[mesh.faces].mean(axis=1) > 0) @ [1, 2, 4]
 
 
-BALL = sphere(subdivisions=3).geometry
+BALL = sphere(subdivisions=2).geometry
 CUT: dict[str, tuple[TriangleMesh, TriangleMesh]] = {
     "corners": (BALL, corners(BALL)),
     "corners, rounded": (BALL, corners(BALL, 1e-7)),

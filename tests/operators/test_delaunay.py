@@ -20,7 +20,12 @@ from spectra_kit import (
 )
 from spectra_kit.errors import SplitSurfaceWarning
 from spectra_kit.geometry import rectangle, sphere, torus
-from spectra_kit.operators import _cover, delaunay_laplacian, oriented_triangles
+from spectra_kit.operators import (
+    _cover,
+    delaunay_laplacian,
+    local_delaunay,
+    oriented_triangles,
+)
 from spectra_kit.operators._hulls import hulls
 
 
@@ -102,9 +107,9 @@ def test_sphere_spectrum_and_rate() -> None:
     assert rate == pytest.approx(1.0, abs=0.25)  # in 1 / n: h^2
     # Gluing equal triangles to each other, as the library does, takes some five per cent off.
     assert errors[2] < 0.25 * error(ball(4000), exact, build=tufted)
-    assert (
-        eigenvalues(ball(1000), build=robust_laplacian).tolist() == eigenvalues(ball(1000)).tolist()
-    )
+    one, other = (build(PointCloud(ball(500))) for build in (delaunay_laplacian, robust_laplacian))
+    assert (one.stiffness != other.stiffness).nnz == 0
+    np.testing.assert_array_equal(one.mass, other.mass)
 
 
 def test_rectangle_and_torus_spectra() -> None:
@@ -233,7 +238,9 @@ def test_parts_far_from_each_other_are_parts() -> None:
 
 
 def test_same_bits_whatever_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    cloud = PointCloud(ball(20_000))
+    for module in (_cover, local_delaunay):  # so that a small cloud is of many tasks
+        monkeypatch.setattr(module, "_BLOCK", 256)
+    cloud = PointCloud(ball(2000))
     found = []
     for count in (1, 3):
         monkeypatch.setenv("NUMBA_NUM_THREADS", str(count))

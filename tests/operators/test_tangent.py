@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from conftest import creature
 from scipy.spatial.transform import Rotation
 
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
-from spectra_kit.geometry import PointCloud, TriangleMesh, creature, rectangle, sample, sphere
+from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sample, sphere
 from spectra_kit.operators import tangent_gradient
 
 
@@ -52,7 +53,7 @@ def test_frames_are_right_handed_and_normals_those_of_the_surface():
 
 
 def test_windings_do_not_matter_and_units_divide():
-    mesh = creature(800)
+    mesh = creature(600)
     values = np.sin(5 * mesh.points[:, 0])
     found = in_space(mesh, values)
     faces = mesh.faces.copy()
@@ -63,7 +64,7 @@ def test_windings_do_not_matter_and_units_divide():
 
 
 def test_they_turn_with_the_surface():
-    cloud = sample(creature(3000), 1200, seed=0)
+    cloud = sample(creature(600), 800, seed=0)
     turn = Rotation.from_euler("xyz", [1.0, 0.2, -0.5]).as_matrix()
     values = np.cos(4 * cloud.points[:, 1])
     np.testing.assert_allclose(
@@ -103,7 +104,7 @@ def test_oriented_frames_tell_a_ball_from_its_mirror_image(as_given):
 
 
 def test_orienting_turns_the_second_axis_alone():
-    sheet = creature(700)
+    sheet = creature(600)
     free, held = tangent_gradient(sheet), tangent_gradient(sheet, oriented=True)
     signs = np.einsum("nr,nr->n", free.frames[:, 2], held.frames[:, 2])
     np.testing.assert_allclose(np.abs(signs), 1)
