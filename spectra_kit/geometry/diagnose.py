@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from spectra_kit._core.checked import checked
-from spectra_kit.geometry.seams import seams
+from spectra_kit.geometry.seams import HANGING, seams
 from spectra_kit.geometry.shapes import (
     Geometry,
     TriangleMesh,
@@ -72,8 +72,7 @@ _PROBLEMS = {
         "geometry.repair(mesh)",
     ),
     "hanging_vertices": (
-        "vertex lies inside a boundary edge of another face, unjoined",
-        "vertices lie inside boundary edges of other faces, unjoined",
+        *(f"{told}, unjoined" for told in HANGING),
         "geometry.repair(mesh)",
     ),
     "turned_faces": (

@@ -21,6 +21,11 @@ from spectra_kit._core.warn import warn
 from spectra_kit.errors import SplitSurfaceWarning
 from spectra_kit.geometry.shapes import TriangleMesh, box_unit, distinct_rows, side_keys
 
+#: What is told of one such vertex, and of several.
+HANGING = (
+    "vertex lies inside a boundary edge of another face",
+    "vertices lie inside boundary edges of other faces",
+)
 #: Of the shortest edge at either point: so near are copies that were rounded. Coordinates of seven
 #: digits, of six in texts, are off by 1e-3 of edges that are a thousandth of the whole; what is
 #: joined so moves eigenvalues by less than such triangles are off anyway.
@@ -177,9 +182,7 @@ def warn_of_seams(mesh: TriangleMesh) -> None:
             f" {quantity(found.exact + found.near, 'vertex')} repeat earlier ones{rounded}"
         )
     if n_hanging := len(np.unique(found.hanging)):
-        which = "vertex lies inside a boundary edge" if n_hanging == 1 else "vertices lie inside"
-        which += " of another face" if n_hanging == 1 else " boundary edges of other faces"
-        told.append(f"{n_hanging:,} {which}")
+        told.append(f"{n_hanging:,} {HANGING[n_hanging > 1]}")
     cut = f"is slit open there, in {quantity(n_parts, 'part')}"
     if n_parts > n_whole:
         cut = f"falls into {n_parts:,} parts, and has {n_whole:,} if they are joined"

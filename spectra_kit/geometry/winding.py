@@ -112,11 +112,6 @@ def pieces(sides: Sides) -> tuple[Ints, Bools]:
     return piece.astype(np.int64), closed
 
 
-def agreement(sides: Sides) -> float:
-    """Return the share of the faces that agree with all their neighbours."""
-    return 1.0 - float(sides.clash[sides.edge].reshape(-1, 3).any(axis=1).mean())
-
-
 def turn(faces: Ints, turned: Bools) -> Ints:
     """Return faces of which some are turned."""
     return np.where(turned[:, None], faces[:, FLIP], faces) if turned.any() else faces

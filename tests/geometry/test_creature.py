@@ -22,7 +22,7 @@ def small():
     return creature(600)
 
 
-@pytest.mark.parametrize(("n", "seed"), [(500, 0), (777, 4), (12_000, 0)])
+@pytest.mark.parametrize(("n", "seed"), [(500, 0), (500, 4), (12_000, 0)])
 def test_size_is_met_and_the_surface_is_one_closed_sphere(n, seed):
     mesh = creature(n, seed=seed)
     assert mesh.n == pytest.approx(n, rel=0.01)

@@ -121,7 +121,7 @@ def nested():
 
 
 def deep():
-    nodes = [{"children": [i + 1]} for i in range(2_000)]
+    nodes = [{"children": [i + 1]} for i in range(1_200)]
     return changed(set_in("nodes", value=[*nodes, {"mesh": 0}]))()
 
 
