@@ -182,12 +182,8 @@ def _of_open3d(thing: Any) -> Geometry:
 def _of_pymeshlab(thing: Any) -> Geometry:
     if hasattr(thing, "current_mesh"):
         thing = thing.current_mesh()
-    faces = thing.face_matrix()
-    return (
-        TriangleMesh(thing.vertex_matrix(), faces)
-        if len(faces)
-        else PointCloud(thing.vertex_matrix())
-    )
+    points, faces = thing.vertex_matrix(), thing.face_matrix()
+    return TriangleMesh(points, faces) if len(faces) else PointCloud(points)
 
 
 def _of_torch_geometric(thing: Any) -> Geometry:

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.records import Brief, frozen
+from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Ints
 from spectra_kit.geometry.shapes import TriangleMesh, box_unit
 
 
 @checked
 @dataclass(frozen=True, eq=False)
-class Component(Brief):
+class Component(Rebuilt):
     """One connected part of a mesh.
 
     Parameters
@@ -64,7 +64,7 @@ def components(mesh: TriangleMesh) -> list[Component]:
     for face_index in sorted(groups, key=lambda group: int(group[0])):
         vertex_index, corners = np.unique(mesh.faces[face_index], return_inverse=True)
         part = TriangleMesh(mesh.points[vertex_index], corners.reshape(-1, 3))
-        parts.append(Component(part, frozen(vertex_index), frozen(face_index)))
+        parts.append(Component(part, vertex_index, face_index))
     return parts
 
 

@@ -74,6 +74,10 @@ def creature(n_points: int = 8000, *, seed: int = 0, pose: int = 0) -> TriangleM
     check_count("n_points", n_points, low=500, high=5_000_000)
     check_count("seed", seed, low=0)
     check_count("pose", pose, low=0)
+    return _posed(*_at_rest(n_points, seed), pose)
+
+
+def _at_rest(n_points: int, seed: int) -> tuple[_Animal, TriangleMesh]:
     animal = _animal(np.random.default_rng(seed), calm=seed == 0)
     field = animal.field
     levels = 0
@@ -84,6 +88,10 @@ def creature(n_points: int = 8000, *, seed: int = 0, pose: int = 0) -> TriangleM
     for _ in range(levels):
         mesh = TriangleMesh(*igl.upsample(mesh.points, mesh.faces, 1))
         mesh = _relaxed(mesh, field, steps=1)
+    return animal, mesh
+
+
+def _posed(animal: _Animal, mesh: TriangleMesh, pose: int) -> TriangleMesh:
     return mesh.with_points(_bent(animal, mesh.points, pose)) if pose else mesh
 
 
@@ -282,13 +290,13 @@ def creature_pair(
     for name, n, pose in zip(("n_source", "n_target"), sizes, poses, strict=True):
         check_count(name, n, low=500, high=5_000_000)
         check_count("poses", pose, low=0)
-    source, target = (
-        creature(n, seed=seed, pose=pose) for n, pose in zip(sizes, poses, strict=True)
-    )
+    check_count("seed", seed, low=0)
+    at_rest = {n: _at_rest(n, seed) for n in sizes}
+    source, target = (_posed(*at_rest[n], pose) for n, pose in zip(sizes, poses, strict=True))
     if sizes[0] == sizes[1]:
         return source, target, frozen(np.arange(source.n))
-    rest = [creature(n, seed=seed) for n in sizes]
-    _, nearest = cKDTree(rest[0].points).query(rest[1].points)
+    one, other = (at_rest[n][1] for n in sizes)
+    _, nearest = cKDTree(one.points).query(other.points)
     return source, target, frozen(np.asarray(nearest, dtype=np.int64))
 
 

@@ -7,12 +7,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._core.checked import checked
-from spectra_kit.geometry.seams import seams
-from spectra_kit.geometry.shapes import Geometry, TriangleMesh, box_unit, distinct_rows
+from spectra_kit.geometry.seams import HANGING, seams
+from spectra_kit.geometry.shapes import (
+    Geometry,
+    TriangleMesh,
+    box_unit,
+    connected,
+    distinct_rows,
+)
 from spectra_kit.geometry.winding import wound_against
 
 
@@ -68,8 +72,7 @@ _PROBLEMS = {
         "geometry.repair(mesh)",
     ),
     "hanging_vertices": (
-        "vertex lies inside a boundary edge of another face, unjoined",
-        "vertices lie inside boundary edges of other faces, unjoined",
+        *(f"{told}, unjoined" for told in HANGING),
         "geometry.repair(mesh)",
     ),
     "turned_faces": (
@@ -276,9 +279,6 @@ def _count_split_fans(mesh: TriangleMesh) -> int:
     del edge, by_edge, shared, following, is_upward  # as large as what comes now
     # Where two faces share an edge, their corners at each end of it belong to one fan.
     links = np.concatenate([low[one], high[one]]), np.concatenate([low[other], high[other]])
-    graph = sparse.coo_array(
-        (np.ones(len(links[0]), dtype=bool), links), shape=(len(corner), len(corner))
-    )
-    _, fan = connected_components(graph, directed=False)
+    fan = connected(*links, len(corner))
     at = np.unique(vertex * len(corner) + fan) // len(corner)  # the vertex of each fan
     return int((np.bincount(at) > 1).sum())

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import jn_zeros, jnp_zeros
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.records import Brief, frozen
+from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count, check_positive
 from spectra_kit.errors import InvalidInputError
@@ -20,7 +20,7 @@ from spectra_kit.geometry.shapes import TriangleMesh
 
 @checked
 @dataclass(frozen=True, eq=False)
-class Reference(Brief):
+class Reference(Rebuilt):
     """A mesh and the exact spectrum of the smooth surface that it approximates.
 
     Parameters
@@ -45,12 +45,6 @@ class Reference(Brief):
     description: str
     dirichlet: Floats | None = None
     eigenfunctions: Floats | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("eigenvalues", "dirichlet", "eigenfunctions"):
-            array = getattr(self, name)
-            if array is not None:
-                object.__setattr__(self, name, frozen(array))
 
     @property
     def multiplicities(self) -> Ints:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.records import Brief, frozen
+from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import (
     as_array,
@@ -65,7 +65,7 @@ class RepairReport:
 
 @checked
 @dataclass(frozen=True, eq=False)
-class Repaired(Brief):
+class Repaired(Rebuilt):
     """A cleaned geometry and its relation to the original.
 
     Parameters
@@ -171,7 +171,7 @@ def repair(geometry: Geometry, *, merge: bool = True, tolerance: float | None = 
     if isinstance(geometry, PointCloud):
         cloud = PointCloud(geometry.points[first])
         report = RepairReport(merged_points=merged, near_points=near)
-        return Repaired(cloud, report, frozen(first), frozen(label))
+        return Repaired(cloud, report, first, label)
     whole = TriangleMesh(geometry.points[first], label[geometry.faces])
     hanging = 0
     if cut and len(cut.hanging):
@@ -203,7 +203,7 @@ def repair(geometry: Geometry, *, merge: bool = True, tolerance: float | None = 
     )
     if turned.any():
         clean = TriangleMesh(clean.points, turn(clean.faces, turned))
-    return Repaired(clean, report, frozen(first[used]), frozen(new_index[label]))
+    return Repaired(clean, report, first[used], new_index[label])
 
 
 def _near(geometry: Geometry, points: Floats, label: Ints, tolerance: float) -> Ints:
@@ -260,7 +260,7 @@ def _cleaned(points: Any, faces: Any) -> Repaired:
     new_index = np.where(is_there, np.cumsum(is_there) - 1, -1)
     report = RepairReport(nan_points=int((~is_there).sum()))
     geometry = _remaining(table[is_there], faces, new_index)
-    return Repaired(geometry, report, frozen(np.flatnonzero(is_there)), frozen(new_index))
+    return Repaired(geometry, report, np.flatnonzero(is_there), new_index)
 
 
 def _remaining(points: Floats, faces: Any, new_index: Ints) -> Geometry:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.records import Brief, frozen
+from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count, check_points, check_positive, real_array
 from spectra_kit.errors import InvalidInputError
@@ -47,7 +47,7 @@ class GaussianDensity:
 
 @checked
 @dataclass(frozen=True, eq=False)
-class Samples(Brief):
+class Samples(Rebuilt):
     """Sampled points and the place on the mesh that each came from.
 
     Parameters
@@ -171,8 +171,6 @@ def sample_with_origin(
         # Only ratios count: the nearest face keeps its weight, so that not all underflow.
         nearest = squared[weights > 0].min()
         weights = weights * np.exp(-0.5 * np.maximum(squared - nearest, 0.0))
-    elif density != "uniform":
-        raise InvalidInputError("density", 'be "uniform" or a GaussianDensity', repr(density))
     return _draw(mesh, n, weights, rng)
 
 
@@ -186,4 +184,4 @@ def _draw(mesh: TriangleMesh, n: int, weights: Floats, rng: np.random.Generator)
     barycentric = np.column_stack([1 - r, r * (1 - t), r * t])
     corners = mesh.faces[faces]
     points = np.einsum("nc,ncd->nd", barycentric, mesh.points[corners])
-    return Samples(PointCloud(points), *map(frozen, (faces, barycentric, corners)))
+    return Samples(PointCloud(points), faces, barycentric, corners)

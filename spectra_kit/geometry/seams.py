@@ -19,8 +19,13 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import quantity
 from spectra_kit._core.warn import warn
 from spectra_kit.errors import SplitSurfaceWarning
-from spectra_kit.geometry.shapes import TriangleMesh, box_unit, distinct_rows
+from spectra_kit.geometry.shapes import TriangleMesh, box_unit, distinct_rows, side_keys
 
+#: What is told of one such vertex, and of several.
+HANGING = (
+    "vertex lies inside a boundary edge of another face",
+    "vertices lie inside boundary edges of other faces",
+)
 #: Of the shortest edge at either point: so near are copies that were rounded. Coordinates of seven
 #: digits, of six in texts, are off by 1e-3 of edges that are a thousandth of the whole; what is
 #: joined so moves eigenvalues by less than such triangles are off anyway.
@@ -136,8 +141,7 @@ def _reach(mesh: TriangleMesh, vertices: Ints, place: Ints) -> Floats:
 
 def _sides(mesh: TriangleMesh, boundary: Ints) -> tuple[Ints, Floats]:
     """Return the face (b,) of each boundary edge, and the direction (b, 3) in which it lies."""
-    heads = np.roll(mesh.faces, -1, axis=1)
-    sides = np.minimum(mesh.faces, heads) * mesh.n + np.maximum(mesh.faces, heads)
+    sides = side_keys(mesh.faces, mesh.n)
     keys = boundary[:, 0] * mesh.n + boundary[:, 1]  # ascending
     at = np.minimum(np.searchsorted(keys, sides), len(keys) - 1)
     row, corner = np.nonzero(keys[at] == sides)
@@ -178,9 +182,7 @@ def warn_of_seams(mesh: TriangleMesh) -> None:
             f" {quantity(found.exact + found.near, 'vertex')} repeat earlier ones{rounded}"
         )
     if n_hanging := len(np.unique(found.hanging)):
-        which = "vertex lies inside a boundary edge" if n_hanging == 1 else "vertices lie inside"
-        which += " of another face" if n_hanging == 1 else " boundary edges of other faces"
-        told.append(f"{n_hanging:,} {which}")
+        told.append(f"{n_hanging:,} {HANGING[n_hanging > 1]}")
     cut = f"is slit open there, in {quantity(n_parts, 'part')}"
     if n_parts > n_whole:
         cut = f"falls into {n_parts:,} parts, and has {n_whole:,} if they are joined"
@@ -245,8 +247,7 @@ def divided(points: Floats, faces: Ints, edges: Ints, inside: Ints) -> Ints:
     """
     n = len(points)
     wanted, number = np.unique(edges[:, 0] * n + edges[:, 1], return_inverse=True)
-    heads = np.roll(faces, -1, axis=1)
-    keys = np.minimum(faces, heads) * n + np.maximum(faces, heads)
+    keys = side_keys(faces, n)
     rows = np.flatnonzero(np.isin(keys, wanted).any(axis=1))
     cut = {row: [tuple(faces[row].tolist())] for row in rows.tolist()}
     owner = {key: row for row in cut for key in keys[row].tolist()}

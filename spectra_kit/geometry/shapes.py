@@ -181,10 +181,8 @@ class TriangleMesh(_Shape):
     @cached_property
     def component_labels(self) -> Ints:
         """Connected component of each vertex, shape (n,); an unreferenced vertex is its own."""
-        a, b, c = self.faces.astype(np.int32).T
-        sides = np.concatenate([a, b]), np.concatenate([b, c])  # two connect a face
-        graph = sparse.coo_array((np.ones(len(sides[0])), sides), shape=(self.n, self.n))
-        return frozen(connected_components(graph, directed=False)[1].astype(np.int64))
+        a, b, c = self.faces.astype(np.int32).T  # two sides connect a face
+        return frozen(connected(np.concatenate([a, b]), np.concatenate([b, c]), self.n))
 
     def with_points(self, points: Floats) -> TriangleMesh:
         """Return the same connectivity at other coordinates, of shape (n, 3)."""
@@ -251,6 +249,18 @@ def _measures(points: Floats, faces: Ints) -> tuple[Floats, Floats, NDArray[np.i
 def _half_edges(faces: Ints) -> Ints:
     """From corner to corner of each face in turn, shape (3f, 2)."""
     return faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+
+
+def side_keys(faces: Ints, n: int) -> Ints:
+    """Return ``lower end * n + higher end`` of each side of faces on n points, shape (f, 3)."""
+    heads = np.roll(faces, -1, axis=1)
+    return np.minimum(faces, heads) * n + np.maximum(faces, heads)
+
+
+def connected(a: Ints, b: Ints, n: int) -> Ints:
+    """Return the part (n,) of each of n things, of which pairs are connected."""
+    graph = sparse.coo_array((np.ones(len(a), dtype=bool), (a, b)), shape=(n, n))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def distinct_rows(rows: Floats | Ints) -> tuple[Ints, Ints]:

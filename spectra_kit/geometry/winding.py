@@ -9,7 +9,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from spectra_kit._core.types import Bools, Ints
-from spectra_kit.geometry.shapes import TriangleMesh
+from spectra_kit.geometry.shapes import TriangleMesh, connected, side_keys
 
 FLIP = [0, 2, 1]
 
@@ -41,10 +41,8 @@ class Sides:
 
 def sides_of(faces: Ints, n: int) -> Sides:
     """Return the sides of faces on n points, which have three corners each."""
-    tails, heads = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    low, high = np.minimum(tails, heads), np.maximum(tails, heads)
-    keys, edge = np.unique(low * n + high, return_inverse=True)
-    upward = tails < heads
+    keys, edge = np.unique(side_keys(faces, n).ravel(), return_inverse=True)
+    upward = (faces < np.roll(faces, -1, axis=1)).ravel()
     surplus = np.bincount(edge, np.where(upward, 1, -1)).astype(np.int64)
     edges = np.column_stack(np.divmod(keys, n))
     return Sides(edges, edge, upward, np.bincount(edge), surplus)
@@ -77,7 +75,8 @@ def against_neighbours(sides: Sides) -> Bools:
     one, other = (pairs // 3).T
     agree = np.logical_xor(*sides.upward[pairs].T)
     # Patches agree inside. Across the edges between two of them, all faces clash.
-    n_patches, patch = _connected(one[agree], other[agree], n_faces)
+    patch = connected(one[agree], other[agree], n_faces)
+    n_patches = int(patch.max()) + 1
     a, b = patch[one[~agree]], patch[other[~agree]]
     # Those with most edges between them are turned against each other first: a chain of patches
     # leads to each, and the edges that it does not take are as few as may be.
@@ -90,17 +89,11 @@ def against_neighbours(sides: Sides) -> Bools:
     chain = sparse.coo_array(minimum_spanning_tree(edges))
     a, b = chain.row.astype(np.int64), chain.col.astype(np.int64)
     # Each patch twice, as it is and turned: a chain connects one such half, and the other.
-    _, half = _connected(np.r_[a, a + n_patches], np.r_[b + n_patches, b], 2 * n_patches)
+    half = connected(np.r_[a, a + n_patches], np.r_[b + n_patches, b], 2 * n_patches)
     as_is, not_so = half[:n_patches], half[n_patches:]
     size = np.bincount(as_is, np.bincount(patch), half.max() + 1)
     turned = (size[as_is] < size[not_so]) | ((size[as_is] == size[not_so]) & (as_is > not_so))
     return np.asarray(turned[patch])
-
-
-def _connected(a: Ints, b: Ints, n: int) -> tuple[int, Ints]:
-    graph = sparse.coo_array((np.ones(len(a), dtype=bool), (a, b)), shape=(n, n))
-    count, label = connected_components(graph, directed=False)
-    return int(count), label.astype(np.int64)
 
 
 def pieces(sides: Sides) -> tuple[Ints, Bools]:
@@ -117,11 +110,6 @@ def pieces(sides: Sides) -> tuple[Ints, Bools]:
     closed[piece[face[sides.surplus[sides.edge] != 0]]] = False
     closed[piece[face[~whole]]] = False
     return piece.astype(np.int64), closed
-
-
-def agreement(sides: Sides) -> float:
-    """Return the share of the faces that agree with all their neighbours."""
-    return 1.0 - float(sides.clash[sides.edge].reshape(-1, 3).any(axis=1).mean())
 
 
 def turn(faces: Ints, turned: Bools) -> Ints:

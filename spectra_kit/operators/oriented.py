@@ -26,7 +26,6 @@ from spectra_kit.geometry.winding import (
     FLIP,
     Sides,
     against_neighbours,
-    agreement,
     pieces,
     sides_of,
     turn,
@@ -153,7 +152,8 @@ def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> Oriented
     sides = sides_of(mesh.faces, mesh.n)
     against = against_neighbours(sides)
     sides = sides.turned(against) if against.any() else sides
-    faces, consistent = turn(mesh.faces, against), agreement(sides)
+    faces = turn(mesh.faces, against)
+    consistent = 1.0 - float(sides.clash[sides.edge].reshape(-1, 3).any(axis=1).mean())
     piece, closed = pieces(sides)
     unit = units_of(mesh)
     volume = np.bincount(piece, _signed_volumes(mesh.points / unit[:, None], faces, piece))
@@ -376,7 +376,7 @@ def _oriented_local_triangles(cloud: PointCloud, n_neighbors: int) -> tuple[Ints
     signs, labels = agree_on_signs(votes)
     signs = turn_outwards(points, vectors, signs, labels, votes)
     turned = signs[owners] < 0
-    faces[turned] = faces[turned][:, [0, 2, 1]]
+    faces[turned] = faces[turned][:, FLIP]
     sides = np.einsum("fr,fcr->fc", doubled, vectors[faces] * signs[faces][:, :, None])
     sides *= signs[owners][:, None]
     agree = float((sides > 0).all(axis=1).mean()) if len(faces) else 0.0

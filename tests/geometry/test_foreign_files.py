@@ -51,6 +51,7 @@ SURFACES = {
 }
 AREAS = {"grid": 1.0, "part": 2 * 3 + 8.0, "frame": 8.0}
 V, F, _ = SURFACES["ball"]
+L_SHAPED, GRID = SURFACES["part"][:2], SURFACES["grid"][:2]
 
 
 @cache
@@ -169,7 +170,7 @@ FILES = [
     ("texture and normals.obj", "ball", obj(corner="{0}/{0}/{0}", between="vn 0 0 1\n"), QUIET),
     ("normals.obj", "ball", obj(corner="{0}//{0}"), QUIET),
     ("relative.obj", "ball", obj(corner="{1}"), QUIET),
-    ("relative with texture.obj", "part", obj(*SURFACES["part"][:2], corner="{1}/{1}"), QUIET),
+    ("relative with texture.obj", "part", obj(*L_SHAPED, corner="{1}/{1}"), QUIET),
     ("slashes differ.obj", "ball", obj(between="vt 0 0\n").replace("f 1 ", "f 1/1 "), QUIET),
     ("colours.obj", "ball", obj(v="v {} 0.5 0.25 1"), QUIET),
     ("weights of 1.obj", "ball", obj(v="v {} 1.0"), QUIET),
@@ -183,18 +184,8 @@ FILES = [
     ),
     ("comment.obj", "ball", "# by D:\\shapes\\\n" + obj(between="# f 1 2 3\\\n"), QUIET),
     ("other comment.obj", "ball", "// by hand\n" + obj(), QUIET),
-    (
-        "continued.obj",
-        "part",
-        obj(*SURFACES["part"][:2], f="f {}").replace(" 5 4 3", " 5 \\\n4 3"),
-        QUIET,
-    ),
-    (
-        "continued, blank.obj",
-        "part",
-        obj(*SURFACES["part"][:2]).replace(" 5 4 3", " 5 \\ \t\n4 3"),
-        QUIET,
-    ),
+    ("continued.obj", "part", obj(*L_SHAPED, f="f {}").replace(" 5 4 3", " 5 \\\n4 3"), QUIET),
+    ("continued, blank.obj", "part", obj(*L_SHAPED).replace(" 5 4 3", " 5 \\ \t\n4 3"), QUIET),
     (
         "skin.obj",
         "ball",
@@ -240,13 +231,8 @@ FILES = [
     ("some colours.off", "ball", off(behind=lambda i: " 7" if i % 3 else ""), QUIET),
     ("edges.off", "ball", off(polygons=[*F, [0, 1]]), "1 face of fewer than 3"),
     ("behind.off", "ball", off() + "0 1\n1 2\n", "2 lines behind the faces.* line 485"),
-    ("flowing.off", "part", off(*SURFACES["part"][:2]).replace("\n", " "), QUIET),
-    (
-        "broken rows.off",
-        "grid",
-        "OFF\n121 100 0\n" + lines(off(*SURFACES["grid"][:2], head=""), 171),
-        QUIET,
-    ),
+    ("flowing.off", "part", off(*L_SHAPED).replace("\n", " "), QUIET),
+    ("broken rows.off", "grid", "OFF\n121 100 0\n" + lines(off(*GRID, head=""), 171), QUIET),
     ("dos.off", "ball", off().replace("\n", "\r\n") + "\x1a", QUIET),
     ("nan.off", "ball", off([*V, [np.nan] * 3]), "1 NaN vertex"),
     # STL
@@ -270,17 +256,17 @@ FILES = [
     # PLY
     *[(f"{name}.ply", name, ply(*SURFACES[name][:2]), QUIET) for name in SURFACES],
     *[(f"binary {name}.ply", name, ply_binary(*SURFACES[name][:2]), QUIET) for name in SURFACES],
-    ("big.ply", "part", ply_binary(*SURFACES["part"][:2], order=">"), QUIET),
+    ("big.ply", "part", ply_binary(*L_SHAPED, order=">"), QUIET),
     (
         "wide.ply",
         "part",
-        ply_binary(*SURFACES["part"][:2], size="i", lists=("list int int vertex_index",)),
+        ply_binary(*L_SHAPED, size="i", lists=("list int int vertex_index",)),
         QUIET,
     ),
     (
         "short.ply",
         "part",
-        ply_binary(*SURFACES["part"][:2], index="H", lists=("list uchar ushort vertex_indices",)),
+        ply_binary(*L_SHAPED, index="H", lists=("list uchar ushort vertex_indices",)),
         QUIET,
     ),
     ("strips.ply", "grid", strips(), QUIET),
@@ -318,7 +304,10 @@ def test_surfaces_are_read_right(tmp_path, name, surface, content, told):
     assert got.area == pytest.approx(mesh.area, rel=1e-6)
     assert lowest(got) == pytest.approx(eigenvalue, rel=1e-5)
     if told is QUIET and not name.endswith(".stl"):
+        np.testing.assert_allclose(got.points, mesh.points, atol=1e-6)
         np.testing.assert_array_equal(read(path, kind="cloud").points, got.points)
+        if surface == "ball":
+            np.testing.assert_array_equal(got.faces, mesh.faces)
 
 
 def read_with(path, told, **options):

@@ -54,7 +54,7 @@ def two_balls(ball):
 
 def test_diagnosis_takes_less_memory_than_an_operator():
     """A few arrays as long as that of the corners, which are 48 bytes for each vertex."""
-    mesh = sphere(subdivisions=6).geometry
+    mesh = sphere(subdivisions=5).geometry
     tracemalloc.start()
     try:
         found = diagnose(mesh)

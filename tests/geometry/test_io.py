@@ -97,59 +97,6 @@ SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
 FAN = [[0, 1, 2], [0, 2, 3]]
 
 
-def test_obj_with_texture_normals_groups_and_relative_indices(tmp_path):
-    text = """# comment
-mtllib none.mtl
-o first
-v 0 0 0 0.5 0.5 0.5
-v 1 0 0
-v 1 1 0
-vt 0 0
-vt 1 0
-vt 0 1
-vn 0 0 1
-usemtl red
-f 1/1/1 2/2/1 3/3/1 # seam
-o second
-v 0 1 0
-v 9 9 9
-usemtl blue
-f 1//1 3//1 -2//1
-s off
-"""
-    (tmp_path / "square.obj").write_text(text)
-    mesh = read(tmp_path / "square.obj")
-    np.testing.assert_array_equal(mesh.points, [*SQUARE, [9, 9, 9]])
-    np.testing.assert_array_equal(mesh.faces, FAN)
-
-
-PENTAGON = "0 0 0\n2 0 0\n3 1 0\n1 3 0\n-1 1 0\n5 5 5\n"
-
-
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        (
-            "p.obj",
-            "".join(f"v {row}\n" for row in PENTAGON.splitlines()) + "f 1 2 6\nf 1 2 3 4 5\n",
-        ),
-        ("p.off", f"OFF\n6 2 0\n{PENTAGON}3 0 1 5\n5 0 1 2 3 4\n"),
-        ("p.off", f"COFF6 2 0 # glued\n\n{PENTAGON}3 0 1 5 255 0 0\n5 0 1 2 3 4\n"),
-        (
-            "p.ply",
-            "ply\nformat ascii 1.0\ncomment by hand\nelement vertex 6\nproperty float x\n"
-            "property float y\nproperty float z\nelement face 2\n"
-            f"property list uchar int vertex_index\nend_header\n{PENTAGON}3 0 1 5\n5 0 1 2 3 4\n",
-        ),
-    ],
-)
-def test_polygons_become_fans(tmp_path, name, text):
-    (tmp_path / name).write_text(text)
-    mesh = read(tmp_path / name)
-    assert mesh.n == 6
-    np.testing.assert_array_equal(mesh.faces, [[0, 1, 5], [0, 1, 2], [0, 2, 3], [0, 3, 4]])
-
-
 @pytest.mark.parametrize("order", ["little", "big"])
 def test_binary_ply_with_mixed_polygons_and_other_properties(tmp_path, order):
     mark = {"little": "<", "big": ">"}[order]
@@ -171,18 +118,6 @@ def test_binary_ply_with_mixed_polygons_and_other_properties(tmp_path, order):
     np.testing.assert_array_equal(mesh.faces, [*FAN, [0, 1, 4]])
 
 
-def test_xyz_columns_after_the_third_are_ignored(tmp_path):
-    (tmp_path / "a.xyz").write_text("# x y z nx ny nz\n1, 2, 3, 0, 0, 1\n\n4,5,6,0,0,1")
-    np.testing.assert_array_equal(read(tmp_path / "a.xyz").points, [[1, 2, 3], [4, 5, 6]])
-
-
-def test_npz_with_short_names_and_small_types(tmp_path):
-    np.savez_compressed(
-        tmp_path / "a.npz", V=SQUARE.astype(np.float16), F=np.array(FAN, np.uint16), other=3
-    )
-    assert_same(read(tmp_path / "a.npz"), TriangleMesh(SQUARE, FAN))
-
-
 def test_stl_joins_positive_and_negative_zero(tmp_path):
     facets = [[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], [[-0.0, 0, -0.0], [0, 1, 0], [-1, 0, 0]]]
     loose = TriangleMesh(np.reshape(facets, (-1, 3)), [[0, 1, 2], [3, 4, 5]])
@@ -190,16 +125,6 @@ def test_stl_joins_positive_and_negative_zero(tmp_path):
     mesh = read(tmp_path / "a.stl")
     assert mesh.n == 4
     np.testing.assert_array_equal(mesh.faces, [[0, 1, 2], [0, 2, 3]])
-
-
-def test_kind_chooses_or_refuses(mesh, tmp_path):
-    write(mesh, tmp_path / "mesh.ply")
-    cloud = read(tmp_path / "mesh.ply", kind="cloud")
-    assert isinstance(cloud, PointCloud)
-    np.testing.assert_array_equal(cloud.points, mesh.points)
-    assert isinstance(read(tmp_path / "mesh.ply", kind="mesh"), TriangleMesh)
-    (tmp_path / "points.off").write_text("OFF\n1 0 0\n1 2 3\n")
-    assert isinstance(read(tmp_path / "points.off"), PointCloud)
 
 
 # --- interrupted writes -------------------------------------------------------------------------

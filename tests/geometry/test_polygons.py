@@ -34,53 +34,32 @@ def check(points, polygon):
     }
 
 
-L = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]
+def outline(corners):
+    return [tuple(map(float, corner.split(","))) for corner in corners.split()]
+
+
+L = outline("0,0 2,0 2,1 1,1 1,2 0,2")
 OUTLINES = {
-    "dart": [(2, 0), (0, 3), (-2, 0), (0, 1)],
+    "dart": outline("2,0 0,3 -2,0 0,1"),
     "L": L,
-    "L with corners on its sides": [(0, 0), (1, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2), (0, 1)],
-    "square with corners on its sides": [(0, 0), (1, 0), (2, 0), (2, 2), (1, 2), (0, 2), (0, 1)],
-    "comb": [
-        (0, 0),
-        (7, 0),
-        (7, 3),
-        (6, 3),
-        (6, 1),
-        (4, 1),
-        (4, 3),
-        (3, 3),
-        (3, 1),
-        (1, 1),
-        (1, 3),
-        (0, 3),
-    ],
-    "spiral": [
-        (0, 0),
-        (5, 0),
-        (5, 5),
-        (1, 5),
-        (1, 2),
-        (3, 2),
-        (3, 3),
-        (2, 3),
-        (2, 4),
-        (4, 4),
-        (4, 1),
-        (0, 1),
-    ],
+    "L with corners on its sides": outline("0,0 1,0 2,0 2,1 1,1 1,2 0,2 0,1"),
+    "square with corners on its sides": outline("0,0 1,0 2,0 2,2 1,2 0,2 0,1"),
+    "comb": outline("0,0 7,0 7,3 6,3 6,1 4,1 4,3 3,3 3,1 1,1 1,3 0,3"),
+    "spiral": outline("0,0 5,0 5,5 1,5 1,2 3,2 3,3 2,3 2,4 4,4 4,1 0,1"),
     "star": [
         (r * np.cos(a), r * np.sin(a))
         for a, r in zip(np.arange(10) * np.pi / 5, [2, 1] * 5, strict=True)
     ],
-    "needle": [(0, 0), (1000, 0), (1000, 1), (500, 0.25), (0, 1)],
+    "needle": outline("0,0 1000,0 1000,1 500,0.25 0,1"),
 }
 
 
-@pytest.mark.parametrize("outline", OUTLINES.values(), ids=OUTLINES)
+@pytest.mark.parametrize("name", OUTLINES)
 @pytest.mark.parametrize("scale", [1.0, 2.0**-660, 2.0**460])
-def test_outlines_from_each_corner_and_side(outline, scale):
+def test_outlines_from_each_corner_and_side(name, scale):
     turn = Rotation.from_rotvec([0.3, 1.0, -0.7]).as_matrix()
-    for points in (in_space(outline), in_space(outline) @ turn.T + 1):
+    flat = in_space(OUTLINES[name])
+    for points in (flat, flat @ turn.T + 1):
         n = len(points)
         for start in range(n):
             polygon = np.roll(np.arange(n), start).tolist()
@@ -93,7 +72,7 @@ def test_outlines_from_each_corner_and_side(outline, scale):
                 )
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(20))
 def test_star_shaped_outlines(seed):
     rng = np.random.default_rng(seed)
     n = int(rng.integers(4, 60))

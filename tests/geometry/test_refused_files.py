@@ -226,34 +226,32 @@ def test_npy_that_announces_less_or_more_than_it_holds(tmp_path, shape):
         read(path)
 
 
+def archive_of(path, points, method):
+    with zipfile.ZipFile(path, "w", method) as archive, archive.open("points.npy", "w") as file:
+        np.save(file, points)
+
+
 @pytest.mark.parametrize(
     ("method", "place", "problem"),
-    [
-        ("ZIP_STORED", 6, "encrypted"),
-        ("ZIP_DEFLATED", 60, "not a whole npz"),
-    ],
+    [(zipfile.ZIP_STORED, 6, "encrypted"), (zipfile.ZIP_DEFLATED, 60, "not a whole npz")],
 )
 def test_archives_that_cannot_be_unpacked(tmp_path, method, place, problem):
     path = tmp_path / "a.npz"
-    np.save(tmp_path / "points.npy", np.random.default_rng(0).normal(size=(50, 3)))
-    with zipfile.ZipFile(path, "w", getattr(zipfile, method)) as archive:
-        archive.write(tmp_path / "points.npy", "points.npy")
+    archive_of(path, np.random.default_rng(0).normal(size=(50, 3)), method)
     assert read(path).n == 50
     data = bytearray(path.read_bytes())
     data[place] ^= 1
-    if method == "ZIP_STORED":  # the bit is in the table at the end too
+    if method == zipfile.ZIP_STORED:  # the bit is in the table at the end too
         data[data.index(b"PK\1\2") + 8] = 1
     path.write_bytes(data)
     with pytest.raises(InvalidFileError, match=problem):
         read(path)
 
 
-@pytest.mark.parametrize("method", ["ZIP_LZMA", "ZIP_BZIP2"])
+@pytest.mark.parametrize("method", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
 def test_archives_that_are_packed_as_numpy_packs_none(tmp_path, method):
     path = tmp_path / "a.npz"
-    np.save(tmp_path / "points.npy", SQUARE)
-    with zipfile.ZipFile(path, "w", getattr(zipfile, method)) as archive:
-        archive.write(tmp_path / "points.npy", "points.npy")
+    archive_of(path, SQUARE, method)
     with pytest.raises(InvalidFileError, match=r"packed otherwise .* numpy\.savez\(path, "):
         read(path)
     np.savez(path, **np.load(path))

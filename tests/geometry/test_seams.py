@@ -48,14 +48,14 @@ def far_away(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def ring() -> TriangleMesh:
-    return torus(n=800).geometry
+    return torus(n=400).geometry
 
 
 def octants(mesh: TriangleMesh) -> np.ndarray:
     return (mesh.points[mesh.faces].mean(axis=1) > 0) @ [1, 2, 4]
 
 
-BALL = sphere(subdivisions=3).geometry
+BALL = sphere(subdivisions=2).geometry
 CUT: dict[str, tuple[TriangleMesh, TriangleMesh]] = {
     "corners": (BALL, corners(BALL)),
     "corners, rounded": (BALL, corners(BALL, 1e-7)),
@@ -250,7 +250,7 @@ def test_a_row_of_points_is_not_drawn_together() -> None:
     assert np.linalg.norm(back - cloud.points, axis=1).max() <= 0.1
 
 
-@pytest.mark.parametrize("ending", ["glb", "obj", "ply", "off", "npz"])
+@pytest.mark.parametrize("ending", ["glb", "obj"])
 def test_files_with_corners_of_their_own_give_the_closed_surface(ending: str, tmp_path) -> None:
     path = tmp_path / f"flat.{ending}"
     write(corners(BALL), path)

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import lzma
+import zipfile
+import zlib
 from collections.abc import Sequence
+from tokenize import TokenError
 
+import numpy as np
 from numpy.typing import ArrayLike
 
+from spectra_kit._core.types import Ints
 from spectra_kit._core.validate import quantity
 from spectra_kit._core.warn import warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
@@ -14,6 +20,26 @@ from spectra_kit.geometry.polygons import Polygons
 Arrays = tuple[ArrayLike, ArrayLike | Polygons | InvalidInputError | None]
 """Points of shape (n, 3) and faces: a table of corners, polygons of several sizes, what is wrong
 with them (for who wants the points alone), or None where the file holds none."""
+
+
+# What NumPy, zipfile and the decompressors raise on damaged files, and JSON of another form than
+# glTF; an OSError here is a seek to a bad place, a RuntimeError an encrypted array or a header
+# of a thousand brackets.
+BROKEN = (
+    ValueError,
+    TypeError,
+    LookupError,
+    AttributeError,
+    SyntaxError,
+    EOFError,
+    OSError,
+    OverflowError,
+    RuntimeError,
+    TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+)
 
 
 def broken_line(number: int, words: Sequence[str], error: ValueError) -> InvalidInputError:
@@ -49,6 +75,20 @@ def position(columns: list[str], width: int) -> list[float]:
     if len(columns) != width:
         raise ValueError(f"{quantity(len(columns), 'column')} where there must be {width}")
     return [real(column.strip()) for column in columns[:3]]
+
+
+def bands(corners: Ints) -> Ints:
+    """Return the triangles of bands, -1 between them: of each corner and the two before, in turn.
+
+    Those with a corner twice only lead from one part of a band to another.
+    """
+    band = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
+    place = np.arange(len(corners))
+    since = place - np.maximum.accumulate(np.where(corners == -1, place + 1, 0))
+    turned = since[: len(band)] % 2 == 1
+    band[turned] = band[turned][:, [1, 0, 2]]
+    a, b, c = band.T
+    return np.asarray(band[(band != -1).all(axis=1) & (a != b) & (b != c) & (c != a)])
 
 
 def check_corners(faces: Polygons) -> None:

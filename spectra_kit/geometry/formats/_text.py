@@ -6,7 +6,6 @@ import codecs
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,11 +52,6 @@ def words_of(text: bytes) -> Iterator[tuple[int, list[str]]]:
     for number, line in lines_of(text):
         if words := without_comment(line).split():
             yield number, words
-
-
-def text_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield (line number, words) of each line of a file that is not blank or a comment."""
-    return words_of(text_of(path.read_bytes()))
 
 
 def without_comment(line: str) -> str:

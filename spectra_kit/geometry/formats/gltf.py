@@ -25,7 +25,7 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_indices, quantity
 from spectra_kit._core.warn import warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
-from spectra_kit.geometry.formats._arrays import Arrays
+from spectra_kit.geometry.formats._arrays import BROKEN, Arrays, bands
 from spectra_kit.geometry.formats._room import MULTIPLE, room
 from spectra_kit.geometry.shapes import TriangleMesh
 
@@ -58,17 +58,6 @@ ACCESSOR = COMMON | {"bufferView", "byteOffset", "componentType", "normalized", 
 ACCESSOR |= {"max", "min", "sparse"}
 SPARSE = COMMON | {"count", "indices", "values"}
 VIEW = COMMON | {"buffer", "byteOffset", "byteLength", "byteStride", "target"}
-
-# What JSON of another form than the format's makes Python raise.
-BROKEN = (
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    OverflowError,
-    RuntimeError,
-    OSError,
-)
 
 
 def read(path: Path) -> Arrays:
@@ -296,11 +285,7 @@ def _triangles(corners: Ints, mode: int) -> Ints:
         first = np.full(max(len(corners) - 2, 0), corners[0])
         return np.column_stack([first, corners[1:-1], corners[2:]])
     if mode == STRIP:
-        faces = np.column_stack([corners[:-2], corners[1:-1], corners[2:]])
-        faces[1::2] = faces[1::2, [1, 0, 2]]
-        # Strips are joined by triangles that repeat a corner, which are no part of the surface.
-        a, b, c = faces.T
-        return np.asarray(faces[(a != b) & (b != c) & (c != a)])
+        return bands(corners)
     raise InvalidInputError(f"{len(corners)} corners in mode {mode} make no triangles")
 
 

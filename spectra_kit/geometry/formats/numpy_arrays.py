@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import lzma
 import math
 import zipfile
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from tokenize import TokenError
 from typing import IO
 
 import numpy as np
@@ -16,26 +13,10 @@ from numpy.typing import NDArray
 
 from spectra_kit._core.validate import check_faces
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.formats._arrays import Arrays
+from spectra_kit.geometry.formats._arrays import BROKEN, Arrays
 from spectra_kit.geometry.formats._room import MULTIPLE, room
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 
-# What NumPy, zipfile and the decompressors raise on damaged files; an OSError here is a seek to a
-# bad place, a RuntimeError an encrypted array or a header of a thousand brackets.
-BROKEN = (
-    ValueError,
-    TypeError,
-    LookupError,
-    SyntaxError,
-    EOFError,
-    OSError,
-    OverflowError,
-    RuntimeError,
-    TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-    lzma.LZMAError,
-)
 POINTS, FACES = ("points", "V", "vertices", "verts"), ("faces", "F")
 # What others call them, in any case, where none is called so.
 OTHER_POINTS, OTHER_FACES = ("vert", "v", "xyz"), ("triangles", "tris", "tri", "triv", "f")

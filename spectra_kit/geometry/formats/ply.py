@@ -16,7 +16,14 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import quantity
 from spectra_kit._core.warn import warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
-from spectra_kit.geometry.formats._arrays import Arrays, check_corners, check_rest, real, whole
+from spectra_kit.geometry.formats._arrays import (
+    Arrays,
+    bands,
+    check_corners,
+    check_rest,
+    real,
+    whole,
+)
 from spectra_kit.geometry.formats._text import Lines, are_laid_out, numbers, text_of
 from spectra_kit.geometry.polygons import Polygons
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
@@ -335,7 +342,10 @@ def _faces(elements: list[_Element], columns: dict[str, Columns]) -> Polygons | 
             if not isinstance(lists, Polygons):
                 lists = Polygons.of(lists)
             polygons = Polygons(_whole(lists.corners), lists.sizes)
-            found.append(_triangles(polygons) if element.name == STRIPS else polygons)
+            if element.name == STRIPS:
+                corners = np.insert(polygons.corners, np.cumsum(polygons.sizes), -1)
+                polygons = Polygons.of(bands(corners))
+            found.append(polygons)
         elif named:
             raise InvalidInputError(
                 f"stores {named[0]} of {element.name!r}, only those of 'face' and {STRIPS!r} are"
@@ -356,21 +366,6 @@ def _whole(corners: NDArray[Any]) -> Ints:
     ):
         raise InvalidInputError("faces must hold whole numbers")
     return corners.astype(np.int64)
-
-
-def _triangles(strips: Polygons) -> Polygons:
-    """Return the triangles of bands: each corner makes one with the two before, turned in turn.
-
-    Those with a corner twice only lead from one part of a band to another.
-    """
-    corners = np.insert(strips.corners, np.cumsum(strips.sizes), -1)
-    band = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
-    place = np.arange(len(corners))
-    since = place - np.maximum.accumulate(np.where(corners == -1, place + 1, 0))
-    turned = since[: len(band)] % 2 == 1
-    band[turned] = band[turned][:, [1, 0, 2]]
-    a, b, c = band.T
-    return Polygons.of(band[(band != -1).all(axis=1) & (a != b) & (b != c) & (c != a)])
 
 
 def write(

@@ -10,7 +10,6 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays, position, real, whole
 from spectra_kit.geometry.formats._text import (
     Lines,
-    text_lines,
     text_of,
     without_comments,
     words_of,
@@ -98,7 +97,7 @@ def write(cloud: PointCloud, path: Path) -> None:
 def read_integers(path: Path, columns: int) -> list[tuple[int, ...]]:
     """Return the lines of a text as so many integers each; a ValueError tells which is not."""
     rows = []
-    for number, words in text_lines(path):
+    for number, words in words_of(text_of(path.read_bytes())):
         try:
             row = tuple(map(whole, words))
         except ValueError:
