@@ -9,7 +9,7 @@ from conftest import bumpy, joined, moved, two_sheets, whole_spectrum
 from scipy import sparse
 
 import spectra_kit as sk
-from spectra_kit.eigen import Eigenpairs, run, verification
+from spectra_kit.eigen import Eigenpairs, accuracy, run
 from spectra_kit.geometry import sphere, torus
 
 
@@ -142,7 +142,7 @@ def test_modes_are_kept_where_the_count_does_not_fit_into_memory(
     def no_room(*matrix: object, **options: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(verification, "SparseLDL", no_room)
+    monkeypatch.setattr(accuracy, "SparseLDL", no_room)
     certificate = sk.eigensolve(bumpy_laplacian, 20).certificate
     assert (certificate.level, certificate.n_verified) == ("residuals", 0)
     assert certificate.completeness == "the first 0 of 20; not counted: out of memory"

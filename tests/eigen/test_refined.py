@@ -7,7 +7,7 @@ import pytest
 
 import spectra_kit as sk
 from spectra_kit._sparse import host
-from spectra_kit._sparse.residuals import residual_norms, residuals
+from spectra_kit._sparse.products import residual_norms, residuals
 from spectra_kit._sparse.ritz import ritz_pairs, ritz_rotation
 from spectra_kit._sparse.shift_invert import shift_invert_iteration
 from spectra_kit.geometry import sphere

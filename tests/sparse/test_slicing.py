@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 import pytest
-from conftest import refused
 from scipy import linalg, sparse
 
 import spectra_kit as sk
@@ -136,12 +133,6 @@ def test_where_two_runs_are_put_together() -> None:
     assert _cut(known[:3], np.array([3.0, 4.0]), 5, 1e-6) is None  # neither has
     assert _cut(known[:0], known, 4, 1.0) == 0
     assert _cut(known[:0], known[1:], 4, 0.0) is None
-
-
-@pytest.mark.parametrize("most", [10, 20, 24])
-def test_a_space_has_whole_steps_and_no_more_vectors_than_there_are(most: int) -> None:
-    of = partial(BlockLanczos, np.copy, 20, block=4, seed=0)
-    refused("most", "be a multiple of 4, and at most 16", of, most=most)
 
 
 def test_a_space_that_becomes_invariant_still_grows() -> None:
