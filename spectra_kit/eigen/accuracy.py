@@ -286,7 +286,10 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
             if shift <= 0:
                 times[i], refuted = more if more > _TIMES[0] else 1.0, False
                 break
-            factor = counting_factor(laplacian.stiffness, laplacian.mass, shift, shared)
+            try:
+                factor = counting_factor(laplacian.stiffness, laplacian.mass, shift, shared)
+            except MemoryError:  # the modes are there, and must not be lost for it
+                return errors
             if factor is None:
                 continue
             shared, inertia = factor.elimination, factor.inertia

@@ -83,7 +83,7 @@ def test_a_second_step_gains_what_is_still_wanted(animal, animal_spectrum):
 
 def test_columns_that_belong_to_the_points():
     """Their rows on the coarsest of three levels are taken."""
-    laplacian = sk.robust_laplacian(creature(8000, seed=0))
+    laplacian = sk.robust_laplacian(creature(5000, seed=0))
     exact = sk.eigensolve(laplacian, 20)
     solver = sk.Cascade(subspace=sk.GivenBasis(exact.eigenvectors), coarsest=300, max_steps=1)
     assert len(nested(laplacian, 300)) == 2
