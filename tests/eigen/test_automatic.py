@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from conftest import bumpy, creature, joined, moved, refused
+from conftest import bumpy, creature, joined, moved
 from scipy import sparse
 
 import spectra_kit as sk
@@ -265,13 +265,3 @@ def test_nearly_all_modes_of_few_points() -> None:
     for k in (laplacian.n - 1, laplacian.n):
         found = sk.eigensolve(laplacian, k, sk.Automatic(accuracy=1e-6))
         np.testing.assert_allclose(found.eigenvalues, exact.eigenvalues[:k], rtol=1e-9, atol=1e-9)
-
-
-def test_what_cannot_be_chosen() -> None:
-    for accuracy in (0, -1e-3, np.nan, np.inf):
-        refused("accuracy", "be ", sk.Automatic, accuracy=accuracy)
-    for accuracy in (1, 50.0):
-        refused("accuracy", "be less than 1", sk.Automatic, accuracy=accuracy)
-    refused("accuracy", "be a number", sk.Automatic, accuracy="1e-3")
-    refused("memory", "be ", sk.Automatic, memory=0)
-    refused("seed", "be ", sk.Automatic, seed=-1)
