@@ -238,7 +238,7 @@ def test_the_doubts_stay_with_the_modes(laplacian, tmp_path):
 )
 def test_a_target_that_is_missed_is_told(solver) -> None:
     """Unless nothing was to be smoothed."""
-    laplacian = sk.robust_laplacian(creature(2500, seed=0))
+    laplacian = sk.robust_laplacian(creature(6000, seed=0))
     missed = r"target = 1e-10 was not reached: 1 step of smoothing left errors .*max_steps"
     with pytest.warns(DoubtfulSpectrumWarning, match=missed):
         sk.eigensolve(laplacian, 40, solver)

@@ -127,7 +127,7 @@ def test_ritz_pairs_of_a_bad_basis(bumpy_laplacian) -> None:
     L, mass = bumpy_laplacian.stiffness, bumpy_laplacian.mass
     modes = sk.eigensolve(bumpy_laplacian, 30).eigenvectors
     rng = np.random.default_rng(0)
-    for condition in (1.0, 1e4, 1e8):
+    for condition in (1.0, 1e8):
         mixed = modes @ rng.standard_normal((30, 30)) * np.geomspace(1, condition, 30)
         twice = np.hstack([mixed, mixed[:, :7] @ rng.standard_normal((7, 4))])
         values, vectors, rank = ritz_pairs(L, mass, twice, 30)
