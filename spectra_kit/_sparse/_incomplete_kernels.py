@@ -186,20 +186,18 @@ def solve_factor(
     upper_columns: Ints,
     upper: Reals,
     inverse: Floats,
-    order: Ints,
     rhs: Floats,
     work: Floats,
     out: Floats,
 ) -> None:
-    """Write to `out` the solution of ``P (I + L) D (I + L)^T P^T out = rhs``; all (n,).
+    """Write to `out` the solution of ``(I + L) D (I + L)^T out = rhs``; all (n,).
 
     L by rows in `lower`, its transpose in `upper`, both in groups of four: most rows of a level
-    zero factor have one, so that the processor predicts the inner loop. Unknown i of the factor
-    is unknown ``order[i]`` of the system.
+    zero factor have one, so that the processor predicts the inner loop.
     """
     n = len(inverse)
     for i in range(n):
-        total = rhs[order[i]]
+        total = rhs[i]
         for g in range(lower_quads[i], lower_quads[i + 1]):
             total -= (
                 lower[g, 0] * work[lower_columns[g, 0]] + lower[g, 1] * work[lower_columns[g, 1]]
@@ -212,4 +210,4 @@ def solve_factor(
                 upper[g, 0] * work[upper_columns[g, 0]] + upper[g, 1] * work[upper_columns[g, 1]]
             ) + (upper[g, 2] * work[upper_columns[g, 2]] + upper[g, 3] * work[upper_columns[g, 3]])
         work[i] = total
-        out[order[i]] = total
+        out[i] = total

@@ -10,7 +10,6 @@ from scipy.linalg import solve_triangular
 
 from spectra_kit._core.threads import in_threads, ranges
 from spectra_kit._core.types import Floats
-from spectra_kit.errors import InvalidInputError
 
 _POINTS = 8_192  # of one task: fixed, so that no sum depends on the threads
 _ROUNDED = 1e-15  # what is left of other vectors in one that was orthogonalised against them
@@ -48,10 +47,6 @@ class BlockLanczos:
     def __init__(
         self, operator: Callable[[Floats], Floats], n: int, *, block: int, most: int, seed: int
     ) -> None:
-        if most % block or most + block > n:
-            raise InvalidInputError(
-                "most", f"be a multiple of {block}, and at most {n - block}", most
-            )
         self._operator, self._block = operator, block
         self.size = 0  # vectors whose images are known; one more block is there
         self._basis = np.empty((most + block, n))

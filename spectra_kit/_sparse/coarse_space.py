@@ -172,7 +172,6 @@ class AdditiveTwoLevel:
     """
 
     def __init__(self, base: Preconditioner, coarse: CoarseSpace) -> None:
-        _check_sizes(base, coarse, coarse.n)
         self.base, self.coarse = base, coarse
         self.seconds: float = getattr(base, "seconds", 0.0) + coarse.seconds
 
@@ -204,7 +203,6 @@ class ProjectedTwoLevel:
 
     def __init__(self, base: Preconditioner, coarse: CoarseSpace, matrix: sparse.csr_array) -> None:
         self._matrix = check_matrix(matrix)
-        _check_sizes(base, coarse, self._matrix.shape[0])
         self.base, self.coarse = base, coarse
         self.seconds: float = getattr(base, "seconds", 0.0) + coarse.seconds
 
@@ -220,11 +218,3 @@ class ProjectedTwoLevel:
         z = self.base.solve(rhs)
         self.coarse.add_to(z, in_threads(call, self.coarse.restrictions(rhs - self._matrix @ z)))
         return z
-
-
-def _check_sizes(base: Any, coarse: CoarseSpace, n: int) -> None:
-    if not coarse.n == getattr(base, "n", n) == n:
-        raise InvalidInputError(
-            f"`base` and `coarse` must be of one size, got {getattr(base, 'n', n)} and {coarse.n}"
-            f" points{'' if n == coarse.n else f', and a matrix of {n}'}"
-        )

@@ -62,10 +62,8 @@ class Elimination:
     def of(matrix: sparse.csr_array) -> Elimination:
         """Find an order for a symmetric pattern, stored whole, and what follows from it."""
         A = symmetric(matrix)
-        if A.nnz > _MAX_ENTRIES:
-            raise InvalidInputError("matrix", f"have at most {_MAX_ENTRIES} entries", A.nnz)
         try:
-            return _analysed(A)
+            return analysed(A)
         except MemoryError as error:
             raise no_memory(A.shape[0]) from error
 
@@ -98,9 +96,12 @@ def symmetric(matrix: sparse.csr_array) -> sparse.csr_array:
     return check_matrix((A + other) / 2)
 
 
-def _analysed(A: sparse.csr_array) -> Elimination:
+def analysed(A: sparse.csr_array) -> Elimination:
+    """Return the elimination of what `symmetric` returned."""
     from spectra_kit._sparse import _frontal_kernels as kernels
 
+    if A.nnz > _MAX_ENTRIES:
+        raise InvalidInputError("matrix", f"have at most {_MAX_ENTRIES} entries", A.nnz)
     starts, columns = (np.require(part, None, "W") for part in (A.indptr, A.indices))
     order, parent, below = kernels.elimination_tree(starts, columns, minimum_degree(A))
     begins = kernels.supernodes(parent, below)

@@ -11,7 +11,7 @@ from scipy import sparse
 
 from spectra_kit._core.clock import Clock
 from spectra_kit._core.types import Floats
-from spectra_kit._sparse._checks import check_kernel, check_matrix, check_rhs, check_symmetric
+from spectra_kit._sparse._checks import check_kernel, check_matrix, check_rhs
 from spectra_kit._sparse.constant_kernel import ConstantKernel
 from spectra_kit._sparse.elimination import Elimination
 from spectra_kit._sparse.ldl import SparseLDL
@@ -24,7 +24,7 @@ _ACCURATE = 1e-7  # relative residual up to which a direct solution is one
 class GroundedCholesky:
     """A Cholesky factor of a Laplacian with constant kernel, for any number of right-hand sides.
 
-    Both triangles of the `matrix` are stored; without a `kernel` it is factorised as it is.
+    Both triangles of the `matrix` are stored.
 
     The solution is determined up to a constant on each component of the kernel. The factor fixes
     that by clearing the row and column of one of its points off the diagonal, where the value is
@@ -35,39 +35,28 @@ class GroundedCholesky:
     def __init__(
         self,
         matrix: sparse.csr_array,
-        kernel: ConstantKernel | None = None,
+        kernel: ConstantKernel,
         *,
         elimination: Elimination | None = None,
     ) -> None:
         clock = Clock()
         self._matrix = check_matrix(matrix)
-        check_symmetric(self._matrix)
-        self._kernel = check_kernel(kernel, self._matrix)
+        check_kernel(kernel, self._matrix)
+        self._kernel = kernel
         self.n: int = self._matrix.shape[0]
         self._held = np.zeros(self.n, dtype=bool)
-        if self._kernel is not None:
-            labels, first = np.unique(self._kernel.labels, return_index=True)
-            self._held[first[labels >= 0]] = True
+        self._held[np.unique(kernel.labels, return_index=True)[1]] = True
         held = _held_at_zero(self._matrix, self._held)
         self._factor = SparseLDL(held, elimination=elimination)
         self.seconds = clock.total
 
-    def solve(self, rhs: ArrayLike) -> Floats:
-        """Return x, of mean zero on each component; `rhs` (n,) is in the range of the matrix."""
-        return self.solution(rhs).x
-
-    def solution(self, rhs: ArrayLike) -> LinearSolution:
-        """Solve, and say how well and how fast; of no iterations and one residual."""
-        return self.solutions([rhs])[0]
-
     def solutions(self, sides: Sequence[ArrayLike]) -> list[LinearSolution]:
         """Solve for several right-hand sides at once, which takes less time than one by one.
 
-        Bit by bit what `solution` returns for each of them, but for the seconds: what they took
-        together is shared out evenly.
+        Each, (n,), is in the range of the matrix. Solutions have mean zero on each component, no
+        iterations and one residual; bit by bit what they would be alone, but for the seconds: what
+        they took together is shared out evenly.
         """
-        if not sides:
-            return []
         clock = Clock()
         checked = [check_rhs(rhs, self.n, self._kernel) for rhs in sides]
         freed = np.column_stack([np.where(self._held, 0.0, b) for b in checked])
@@ -78,17 +67,14 @@ class GroundedCholesky:
 
     def _accurate(self, b: Floats, x: Floats) -> LinearSolution:
         """Return what the factor made of `b`, if it is a solution; of no time."""
-        if self._kernel is not None:
-            x = self._kernel.remove(x)
+        x = self._kernel.remove(x)
         residual, norm = _norm(b - self._matrix @ x), _norm(b)
         if not residual <= _ACCURATE * norm:
             raise InvalidInputError(
                 "`matrix` must be nonsingular apart from `kernel`, but its direct solution leaves"
                 f" a residual of {residual / norm:.1e} ||rhs||. The Laplacian of triangles that are"
                 " all but flat is that near to singular: for distances, pass"
-                " intrinsic_delaunay(mesh, mollify_factor=1e-3) in place of the mesh. For a matrix"
-                " of your own, pass the kernel of a Neumann Laplacian as"
-                " ConstantKernel(laplacian.component_labels)"
+                " intrinsic_delaunay(mesh, mollify_factor=1e-3) in place of the mesh"
             )
         return LinearSolution(
             x=x,
@@ -107,8 +93,6 @@ def _held_at_zero(matrix: sparse.csr_array, held: NDArray[np.bool_]) -> sparse.c
 
     In the same pattern, if all diagonal entries are stored.
     """
-    if not held.any():
-        return matrix
     rows = np.repeat(np.arange(matrix.shape[0], dtype=np.int32), np.diff(matrix.indptr))
     entries = np.where(held[rows] | held[matrix.indices], 0.0, matrix.data)
     own = np.flatnonzero(rows == matrix.indices)

@@ -20,8 +20,7 @@ from spectra_kit._core.threads import (
     single_threaded_blas,
 )
 from spectra_kit._core.types import Floats, Singles
-from spectra_kit._sparse.products import rows_of, spmm
-from spectra_kit._sparse.residuals import residuals
+from spectra_kit._sparse.products import residuals, rows_of, spmm
 
 Block = NDArray[np.floating]
 Weights = Any  # the diagonal of M as an array, or M itself as a sparse one

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from scipy import sparse
-from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from spectra_kit._core.clock import Clock
 from spectra_kit._core.types import Floats
@@ -20,7 +19,7 @@ _FAR = 0.05  # share of n by which neighbours are apart, on average, in an untid
 
 
 class IncompleteCholesky:
-    """``A ~ P (I + L) D (I + L)^T P^T`` with a sparse L: an approximation that is quick to invert.
+    """``A ~ (I + L) D (I + L)^T`` with a sparse L: an approximation that is quick to invert.
 
     Of A, symmetric positive semi-definite, one triangle is read. Without `drop`, L has its pattern:
     that is level 0, the incomplete Cholesky factor of textbooks. With it, an entry (of ``L D``) is
@@ -30,9 +29,8 @@ class IncompleteCholesky:
     `relaxation` is the share in [0, 1] of every dropped entry that is taken from the diagonals of
     its row and column. With 1 the factor is exact on constants (Gustafsson's modified factor, whose
     condition grows with 1 / h in place of 1 / h^2, and which is singular if A is); a little less is
-    safer. Unless `reorder` says, points are eliminated in the order of reverse Cuthill-McKee where
-    neighbours are far apart, as in a shuffled mesh: they cost the given order twice the iterations.
-    The factor is computed and applied in float64, whatever it is stored in.
+    safer. Points are eliminated in the order given, which had better not be `untidy`: that costs
+    twice the iterations. The factor is computed and applied in float64, whatever it is stored in.
 
     A factor always exists for M-matrices (Meijerink & van der Vorst, *Math. Comp.* 31, 1977), so
     for every intrinsic Delaunay Laplacian. Elsewhere, as for cotangents of obtuse triangles, a
@@ -58,18 +56,14 @@ class IncompleteCholesky:
         *,
         drop: float | None = None,
         relaxation: float = 0.0,
-        reorder: bool | None = None,
         dtype: DTypeLike = np.float64,
     ) -> None:
         clock = Clock()
         rows = check_matrix(matrix)
         kind = real_dtype("dtype", dtype)
         self.n: int = rows.shape[0]
-        self._kind = _check_options(drop, relaxation)
-        self._order = np.arange(self.n, dtype=np.uint32)
-        if untidy(rows) if reorder is None else reorder:
-            self._order = reverse_cuthill_mckee(rows, symmetric_mode=True).astype(np.uint32)
-            rows = _permuted(rows, self._order)
+        self._kind = "level 0" if drop is None else f"drop={drop:g}"
+        self._kind += f", relaxation={relaxation:g}" if relaxation else ""
         diagonal = rows.diagonal()
         if (diagonal < 0).any():
             raise _indefinite(f"its diagonal goes down to {diagonal.min():.3g}")
@@ -83,7 +77,7 @@ class IncompleteCholesky:
                 break
             if self.shift * _GROWTH > _LARGEST_SHIFT:
                 raise _indefinite(
-                    f"its incomplete factor breaks down in row {self._order[broken]}, even with"
+                    f"its incomplete factor breaks down in row {broken}, even with"
                     f" the diagonal raised by {self.shift:.3g} of itself"
                 )
             self.shift = max(self.shift * _GROWTH, _FIRST_SHIFT)
@@ -103,23 +97,13 @@ class IncompleteCholesky:
         return self._entries
 
     def solve(self, rhs: Floats) -> Floats:
-        """Return the x (n,) of ``P (I + L) D (I + L)^T P^T x = rhs``."""
+        """Return the x (n,) of ``(I + L) D (I + L)^T x = rhs``."""
         from spectra_kit._sparse._incomplete_kernels import solve_factor
 
         out, work = np.empty(self.n), np.empty(self.n)
         values = check_vector("rhs", rhs, self.n)
-        solve_factor(*self._lower, *self._upper, self._inverse, self._order, values, work, out)
+        solve_factor(*self._lower, *self._upper, self._inverse, values, work, out)
         return out
-
-
-def _check_options(drop: float | None, relaxation: float) -> str:
-    """Check them, and return what kind of factor they ask for."""
-    if not 0 <= relaxation <= 1:
-        raise InvalidInputError("relaxation", "be in [0, 1]", f"{relaxation!r}")
-    if drop is not None and not 0 <= drop < np.inf:
-        raise InvalidInputError("drop", "be a finite number from 0 upwards", f"{drop!r}")
-    kind = "level 0" if drop is None else f"drop={drop:g}"
-    return kind + (f", relaxation={relaxation:g}" if relaxation else "")
 
 
 def _indefinite(reason: str) -> InvalidInputError:
@@ -137,14 +121,6 @@ def untidy(matrix: sparse.csr_array) -> bool:
     n = matrix.shape[0]
     own = np.repeat(np.arange(n, dtype=matrix.indices.dtype), np.diff(matrix.indptr))
     return bool(np.abs(matrix.indices - own).mean() > _FAR * n) if matrix.nnz else False
-
-
-def _permuted(rows: sparse.csr_array, order: NDArray[np.uint32]) -> sparse.csr_array:
-    """Return ``rows[order][:, order]``."""
-    place = np.empty(len(order), dtype=rows.indices.dtype)
-    place[order] = np.arange(len(order), dtype=place.dtype)
-    taken = rows[order.astype(np.int64)]
-    return sparse.csr_array((taken.data, place[taken.indices], taken.indptr), rows.shape)
 
 
 def incomplete_factor(

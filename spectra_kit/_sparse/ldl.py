@@ -11,7 +11,7 @@ from scipy import sparse
 
 from spectra_kit._core.threads import in_threads, shares
 from spectra_kit._core.types import Floats
-from spectra_kit._sparse.elimination import Elimination, no_memory, symmetric
+from spectra_kit._sparse.elimination import Elimination, analysed, no_memory, symmetric
 from spectra_kit._sparse.products import real_dtype
 from spectra_kit.errors import InvalidInputError
 
@@ -56,7 +56,7 @@ class SparseLDL:
         if elimination is not None and not elimination.serves(A):
             raise InvalidInputError("elimination", "have the pattern of `matrix`", "another")
         try:
-            self.elimination = known = Elimination.of(A) if elimination is None else elimination
+            self.elimination = known = analysed(A) if elimination is None else elimination
             self._lower, self.pivots = np.empty(known.fill), np.empty(self.n)
             bad = factorise(
                 known.starts,
@@ -153,8 +153,6 @@ class SparseLDL:
         from spectra_kit._sparse._lane_kernels import LANES, solve_columns
 
         real = real_dtype("dtype", dtype)
-        if np.iscomplexobj(rhs):
-            raise InvalidInputError("rhs", "be real", np.asarray(rhs).dtype)
         rhs = np.require(rhs, real, ["C", "W"])
         if rhs.ndim not in (1, 2) or len(rhs) != self.n:
             raise InvalidInputError("rhs", f"have shape ({self.n},) or ({self.n}, s)", rhs.shape)

@@ -14,7 +14,7 @@ from spectra_kit._core.threads import in_threads, shares, single_threaded_blas
 from spectra_kit._core.types import Floats, Singles
 from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit._sparse.orthonormal import RankError
-from spectra_kit._sparse.residuals import residuals
+from spectra_kit._sparse.products import residuals
 from spectra_kit._sparse.ritz import ritz_pairs, ritz_rotation
 from spectra_kit.errors import InvalidInputError
 
@@ -38,13 +38,6 @@ class Refinement(NamedTuple):
     sweeps: int
     stalled: bool
     seconds: dict[str, float]
-
-
-class ShiftedFactor(NamedTuple):
-    """``L - sigma M`` with sigma < 0, factorised."""
-
-    factor: SparseLDL
-    sigma: float
 
 
 def shifted_factor(stiffness: sparse.csr_array, mass: Floats, sigma: float) -> SparseLDL:
@@ -97,7 +90,8 @@ def shift_invert_iteration(
     # With a mean mass of one, float32 holds every unit of length. Eigenvalues are times `unit`.
     unit = float(mass.mean())
     mass = mass / unit
-    shifted: ShiftedFactor | None = None
+    factor: SparseLDL | None = None
+    sigma = 0.0  # below the spectrum, with a factor
     rng = np.random.default_rng(seed)
 
     def ritz(columns: NDArray[np.floating], rank_tol: float) -> tuple[Floats, Floats]:
@@ -128,14 +122,15 @@ def shift_invert_iteration(
         # And not among values that are zero to rounding: a shift must be below them all.
         guard = max(float(values[-1]), _ZERO * unit * spacing) * (1 + 2 / block)
         wanted = _SHIFT * guard
-        if shifted is None or not _OUTGROWN < wanted / -shifted.sigma < 1 / _OUTGROWN:
-            shifted = ShiftedFactor(shifted_factor(stiffness, mass, -wanted), -wanted)
+        if factor is None or not _OUTGROWN < wanted / -sigma < 1 / _OUTGROWN:
+            factor, sigma = shifted_factor(stiffness, mass, -wanted), -wanted
             clock.stage("factor")
-        probes = _filtered_noise(shifted, mass, X, guard, degree, rng) if sweeps == 0 else None
+        shifted = factor, sigma, guard, degree
+        probes = _filtered_noise(*shifted, mass, X, rng) if sweeps == 0 else None
         # Guard columns move with the wanted ones; wanted ones that have converged stay.
         active = np.flatnonzero(np.concatenate([open_modes, np.full(block - k, True)]))
         for part in np.array_split(active, -(-len(active) // _COLUMNS)):
-            X[:, part] += _correction(shifted, mass, R[:, part], values[part], guard, degree)
+            X[:, part] += _correction(*shifted, mass, R[:, part], values[part])
         clock.stage("filter")
         trace = values[:k].sum()
         try:
@@ -172,22 +167,23 @@ def _noise(rng: np.random.Generator, mass: Floats, columns: int) -> Floats:
 
 
 def _filtered_noise(
-    shifted: ShiftedFactor,
-    mass: Floats,
-    X: Floats,
+    factor: SparseLDL,
+    sigma: float,
     guard: float,
     degree: int,
+    mass: Floats,
+    X: Floats,
     rng: np.random.Generator,
 ) -> Floats:
     """Return the low modes in a few random columns, of unit norm and orthogonal to X."""
-    gain = np.float32(2 * (guard - shifted.sigma))
+    gain = np.float32(2 * (guard - sigma))
     weights = mass.astype(np.float32)[:, None]
     columns = _noise(rng, mass, _PROBES)
     for _ in range(2):  # in between, what grew most is taken out: float32 drowns in it
         old = columns.astype(np.float32)
-        new = gain * shifted.factor.solve(weights * old, dtype=np.float32) - old
+        new = gain * factor.solve(weights * old, dtype=np.float32) - old
         for _ in range(degree - 1):
-            solved = shifted.factor.solve(weights * new, dtype=np.float32)
+            solved = factor.solve(weights * new, dtype=np.float32)
             old, new = new, 2 * (gain * solved - new) - old
         columns = new.astype(np.float64)
         with single_threaded_blas():
@@ -198,17 +194,22 @@ def _filtered_noise(
 
 
 def _correction(
-    shifted: ShiftedFactor, mass: Floats, R: Singles, values: Floats, guard: float, degree: int
+    factor: SparseLDL,
+    sigma: float,
+    guard: float,
+    degree: int,
+    mass: Floats,
+    R: Singles,
+    values: Floats,
 ) -> Singles:
     """Return what the filter of this `degree`, normalised to 1 at `values`, adds to each column."""
     from spectra_kit._sparse._kernels import chebyshev_step
 
-    sigma = shifted.sigma
     gain = 2 * (guard - sigma)  # T is mapped so that [0, 1 / (guard - sigma)] becomes [-1, 1]
     mu = 1 / (values - sigma)
     x = gain * mu - 1
     p_before, p = np.ones_like(x), x  # Chebyshev polynomials of degree j - 1 and j at x
-    solved = shifted.factor.solve(R, dtype=np.float32)
+    solved = factor.solve(R, dtype=np.float32)
     first = np.float32(-gain * mu) * solved
     correction = first / np.float32(x)
     previous = np.zeros_like(first)
@@ -216,7 +217,7 @@ def _correction(
     np.multiply(weights[:, None], correction, out=solved)
     cuts = shares(len(mass))
     for _ in range(degree - 1):
-        solved = shifted.factor.solve(solved, dtype=np.float32)
+        solved = factor.solve(solved, dtype=np.float32)
         p_next = 2 * x * p - p_before
         a, b, c = (np.float32(q / p_next) for q in (2 * p, p_before, 2 * p))
         fixed = (solved, correction, previous, first, weights, gain, a, b, c)

@@ -18,12 +18,9 @@ from spectra_kit._sparse.products import spmm
 from spectra_kit.errors import InvalidInputError
 
 
-def sparse_tensor(csr: sparse.csr_array, device: str = "cpu") -> Tensor:
-    """Return a SciPy array as a float64 sparse CSR tensor on a device."""
-    return csr_tensor(csr, torch.float64, device)
-
-
-def csr_tensor(csr: sparse.csr_array, dtype: torch.dtype, device: str = "cpu") -> Tensor:
+def csr_tensor(
+    csr: sparse.csr_array, dtype: torch.dtype = torch.float64, device: str = "cpu"
+) -> Tensor:
     """Return a SciPy array as a sparse CSR tensor of a dtype on a device."""
     rows, columns = torch.tensor(csr.indptr), torch.tensor(csr.indices)
     values = torch.tensor(csr.data, dtype=dtype)

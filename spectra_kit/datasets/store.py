@@ -22,7 +22,6 @@ from spectra_kit.datasets import files, housekeeping
 from spectra_kit.datasets.files import Damage, Kind, ShapeRecord, StoredEntry
 from spectra_kit.datasets.plan import Descriptor, OperatorName, Plan
 from spectra_kit.eigen import Spectrum, eigensolve
-from spectra_kit.eigen.spectrum import plain
 from spectra_kit.eigen.spectrum_file import write_spectrum_file
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.features import DESCRIPTORS
@@ -130,9 +129,8 @@ class SpectrumStore:
         made = made.described(made.certificate, replace(made.provenance, seconds={}))
         vectors = made.eigenvectors.astype(plan.precision)
         arrays = {"eigenvalues": made.eigenvalues, "eigenvectors": vectors, "mass": made.mass}
-        certificate = plain(made.certificate) if made.certificate else None
         with self._new("spectra", facts_digest(facts)) as path:
-            write_spectrum_file(path, arrays, certificate, vars(made.provenance), facts=facts)
+            write_spectrum_file(path, arrays, made.certificate, made.provenance, facts=facts)
         return replace(made, eigenvectors=vectors)
 
     def descriptor(self, shape: Geometry, plan: Plan, name: Descriptor) -> Floats:

@@ -13,7 +13,8 @@ from spectra_kit._core.threads import blas_threads_for
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import quantity
 from spectra_kit._core.warn import warn
-from spectra_kit._sparse import SparseLDL
+from spectra_kit._sparse.elimination import Elimination
+from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit._sparse.products import spmm
 from spectra_kit._sparse.ritz import ritz_pairs
@@ -134,11 +135,7 @@ def with_bounds(certificate: Certificate, spectrum: Spectrum, laplacian: Laplaci
     """
     if not spectrum.k or certificate.relative_residuals.max() > DOUBTFUL:
         return certificate
-    relative, spacing = certificate.relative_residuals, laplacian.eigenvalue_spacing
-    some = np.where(relative > 0, relative, 1.0)
-    least = np.where(
-        relative > 0, certificate.residuals / some, np.maximum(spectrum.eigenvalues, spacing)
-    )
+    least = error_units(certificate, spectrum.eigenvalues, laplacian)
     bounded, errors = np.arange(spectrum.k) < certificate.n_verified, certificate.errors
     if errors is None or bounded.any():
         with blas_threads_for(spectrum.eigenvectors.size):
@@ -148,6 +145,14 @@ def with_bounds(certificate: Certificate, spectrum: Spectrum, laplacian: Laplaci
     mixed = in_order(spectrum.eigenvalues, errors * least) / least
     errors = np.where(bounded, errors, mixed)
     return replace(certificate, errors=errors, bounded=bounded)
+
+
+def error_units(certificate: Certificate, values: Floats, laplacian: Laplacian) -> Floats:
+    """Return what errors of the eigenvalues are relative to, as residuals are, in 1/length^2."""
+    relative = certificate.relative_residuals
+    some = np.where(relative > 0, relative, 1.0)
+    known, least = certificate.residuals / some, laplacian.eigenvalue_spacing
+    return np.where(relative > 0, known, np.maximum(values, least))
 
 
 def _absolute(certificate: Certificate, spectrum: Spectrum, laplacian: Laplacian) -> Floats:
@@ -234,6 +239,17 @@ def is_hard(laplacian: Laplacian) -> bool:
     return bool(connected_components(graph, directed=False)[0] > laplacian.n_components)
 
 
+def counting_factor(
+    stiffness: sparse.csr_array, mass: Floats, shift: float, known: Elimination | None = None
+) -> SparseLDL | None:
+    """Factorise ``L - shift M``; nothing where a pivot is zero, as close to an eigenvalue."""
+    shifted = sparse.csr_array(stiffness - shift * sparse.diags_array(mass))
+    try:
+        return SparseLDL(shifted, definite=False, elimination=known)
+    except InvalidInputError:
+        return None
+
+
 def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floats:
     """Return the errors estimated, raised to what counts leave open where these refute them.
 
@@ -270,10 +286,11 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
             if shift <= 0:
                 times[i], refuted = more if more > _TIMES[0] else 1.0, False
                 break
-            A = sparse.csr_array(laplacian.stiffness - shift * sparse.diags_array(laplacian.mass))
             try:
-                factor = SparseLDL(A, definite=False, elimination=shared)
-            except InvalidInputError:  # a zero pivot: this shift is as good as an eigenvalue
+                factor = counting_factor(laplacian.stiffness, laplacian.mass, shift, shared)
+            except MemoryError:  # the modes are there, and must not be lost for it
+                return errors
+            if factor is None:
                 continue
             shared, inertia = factor.elimination, factor.inertia
             backward = factor.backward_error(laplacian.mass) if inertia.negative > j else 0.0

@@ -21,7 +21,7 @@ from spectra_kit.eigen.base import (
 from spectra_kit.eigen.cascade import Cascade
 from spectra_kit.eigen.lanczos import Arpack, Lanczos, cheapest, or_densely
 from spectra_kit.eigen.refined import Refined
-from spectra_kit.eigen.subspaces.given import GivenBasis
+from spectra_kit.eigen.subspaces.base import GivenBasis
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.operators.laplacian import Laplacian
 

@@ -19,8 +19,7 @@ from spectra_kit.eigen.lanczos import cheapest, or_densely
 from spectra_kit.eigen.multigrid.cascade import coarsest_eigenpairs, nested, prolonged
 from spectra_kit.eigen.multigrid.coarse import Coarse, gathered
 from spectra_kit.eigen.multigrid.smoothing import on_device
-from spectra_kit.eigen.subspaces.base import Subspace
-from spectra_kit.eigen.subspaces.given import OnPoints, restricted
+from spectra_kit.eigen.subspaces.base import OnPoints, Subspace, restricted
 from spectra_kit.operators.laplacian import Laplacian
 
 _ROOM = 6  # points of the coarsest level for each column: fewer have no low modes

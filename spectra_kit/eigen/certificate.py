@@ -128,32 +128,23 @@ class Certificate(Rebuilt):
 
     def __post_init__(self) -> None:
         for name in ("residuals", "relative_residuals", "excess", "errors"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, frozen(real_array(name, getattr(self, name))))
+            if (given := getattr(self, name)) is not None:
+                object.__setattr__(self, name, frozen(real_array(name, given)))
+                _check_magnitude(name, getattr(self, name).min(initial=0.0))
         if self.residuals.ndim != 1 or self.relative_residuals.shape != self.residuals.shape:
             raise InvalidInputError(
                 "relative_residuals",
                 "have the same shape (k,) as `residuals`",
                 f"{self.relative_residuals.shape} and {self.residuals.shape}",
             )
-        for name, array in (("excess", self.excess), ("errors", self.errors)):
-            if array is not None and array.shape != self.residuals.shape:
-                raise InvalidInputError(
-                    name, f"have the shape {self.residuals.shape} of `residuals`", array.shape
-                )
-        shape = self.residuals.shape
-        bounded = np.asarray(self.bounded)
+        shape, bounded = self.residuals.shape, np.asarray(self.bounded)
         if bounded.dtype != bool:
             raise InvalidInputError("bounded", "be an array of bool", f"one of {bounded.dtype}")
-        bounded = bounded if bounded.size else np.zeros(shape, dtype=bool)
-        if bounded.shape != shape:
-            raise InvalidInputError(
-                "bounded", f"have the shape {shape} of `residuals`", bounded.shape
-            )
-        object.__setattr__(self, "bounded", frozen(bounded))
-        for name in ("residuals", "relative_residuals", "excess", "errors"):
-            if (array := getattr(self, name)) is not None:
-                _check_magnitude(name, array.min(initial=0.0))
+        bounded = frozen(bounded if bounded.size else np.zeros(shape, dtype=bool))
+        object.__setattr__(self, "bounded", bounded)
+        for name, array in (("excess", self.excess), ("errors", self.errors), ("bounded", bounded)):
+            if array is not None and array.shape != shape:
+                raise InvalidInputError(name, f"have the shape {shape} of `residuals`", array.shape)
         _check_magnitude("orthonormality_error", self.orthonormality_error)
         k = len(self.residuals)
         check_count("n_zero_modes", self.n_zero_modes, low=0, high=k)

@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.records import Brief, frozen
+from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count, check_mass
 from spectra_kit._sparse.orthonormal import orthonormalize
 from spectra_kit.eigen.spectrum import Spectrum
-from spectra_kit.eigen.subspaces.base import Subspace
-from spectra_kit.eigen.subspaces.given import restricted
+from spectra_kit.eigen.subspaces.base import Subspace, restricted
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.operators.laplacian import Laplacian
 
@@ -31,7 +30,7 @@ _ORTHONORMAL = 1e-5  # modes further from it have errors that mean nothing; sing
 
 @checked
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Comparison(Brief):
+class Comparison(Rebuilt):
     """The errors of a predicted spectrum, mode by mode.
 
     Attributes
@@ -75,11 +74,6 @@ class Comparison(Brief):
     clusters: tuple[tuple[int, int], ...]
     open_from: int
     n_zero_modes: int
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if isinstance(value, np.ndarray):
-                object.__setattr__(self, name, frozen(value))
 
     @property
     def k(self) -> int:
@@ -266,21 +260,19 @@ def compare_spectra(
     relative = np.full(k, np.nan)
     relative[zero:] = np.abs(other - values)[zero:] / values[zero:]
 
-    if basis is None:
-        dimension, outside = predicted.k, _outside(predicted.eigenvectors, mass, U)
-    else:
+    Y = predicted.eigenvectors
+    if basis is not None:
         if np.ndim(basis) != 2 or len(basis) != exact.n:
             raise InvalidInputError(
                 "basis", f"have shape ({exact.n}, m) like the spectra", np.shape(basis)
             )
         Y = orthonormalize(basis, mass)
-        dimension, outside = Y.shape[1], _outside(Y, mass, U)
     return Comparison(
         eigenvalues=values,
         predicted_eigenvalues=other,
         match=match,
-        span_error=outside,
-        span_dimension=dimension,
+        span_error=_outside(Y, mass, U),
+        span_dimension=Y.shape[1],
         vector_error=vector_error,
         eigenvalue_error=relative,
         cluster_error=cluster_error,

@@ -19,7 +19,7 @@ from spectra_kit._sparse.blocks import device_memory
 from spectra_kit.eigen.base import Eigenpairs, Promise
 from spectra_kit.eigen.cascade import Cascade
 from spectra_kit.eigen.dense import Dense
-from spectra_kit.eigen.subspaces.given import GivenBasis
+from spectra_kit.eigen.subspaces.base import GivenBasis
 from spectra_kit.operators.laplacian import Laplacian
 
 if TYPE_CHECKING:

@@ -12,8 +12,7 @@ from spectra_kit._sparse.ritz import ritz_pairs
 from spectra_kit.eigen.base import Eigenpairs, Promise, basis_with_kernel
 from spectra_kit.eigen.dense import Dense
 from spectra_kit.eigen.subspaces.ambient_fourier import AmbientFourier
-from spectra_kit.eigen.subspaces.base import Subspace
-from spectra_kit.eigen.subspaces.given import OnPoints
+from spectra_kit.eigen.subspaces.base import OnPoints, Subspace
 from spectra_kit.operators.laplacian import Laplacian
 
 

@@ -21,8 +21,7 @@ from spectra_kit.eigen.base import (
     plane_waves,
 )
 from spectra_kit.eigen.dense import Dense
-from spectra_kit.eigen.subspaces.base import Subspace
-from spectra_kit.eigen.subspaces.given import OnPoints, RandomBasis
+from spectra_kit.eigen.subspaces.base import OnPoints, RandomBasis, Subspace
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.operators.laplacian import Laplacian
 

@@ -31,8 +31,7 @@ from spectra_kit.eigen.certificate import Certificate, Provenance
 from spectra_kit.eigen.dense import Dense
 from spectra_kit.eigen.refined import Refined
 from spectra_kit.eigen.spectrum import Spectrum, certificate_of
-from spectra_kit.eigen.subspaces.base import Union
-from spectra_kit.eigen.subspaces.given import GivenBasis, RandomBasis, restricted
+from spectra_kit.eigen.subspaces.base import GivenBasis, RandomBasis, Union, restricted
 from spectra_kit.eigen.verification import count_modes, verify
 from spectra_kit.errors import (
     ConvergenceError,
@@ -78,22 +77,6 @@ class Units(NamedTuple):
             points=np.ldexp(laplacian.points, -self.length),
         )
 
-    def given_to(self, spectrum: Spectrum) -> Spectrum:
-        """Return a spectrum that was computed in these units in those of the operator."""
-        energy = 2.0**self.energy
-        spectrum = spectrum.rescale(2.0**self.length)
-        found = spectrum.certificate
-        return replace(
-            spectrum,
-            eigenvalues=spectrum.eigenvalues * energy,
-            certificate=found
-            and replace(
-                found,
-                residuals=found.residuals * energy,
-                count=found.count and found.count.rescaled(1 / energy),
-            ),
-        )
-
 
 def is_whole(laplacian: Laplacian) -> bool:
     """Whether this is one component, all of it free, of ordinary size: solved as it is."""
@@ -118,9 +101,9 @@ def solve(
 def _in_units(units: Units, laplacian: Laplacian, k: int, solver: Eigensolver) -> Spectrum:
     """Solve in units of the shape's own: beyond 1e9 and below 1e-9, squares leave float32."""
 
-    def given(spectrum: Spectrum) -> Spectrum:
-        spectrum = units.given_to(spectrum)
-        provenance = replace(spectrum.provenance, input_hash=_fingerprint(laplacian))
+    def given(found: Spectrum) -> Spectrum:
+        provenance = replace(found.provenance, input_hash=_fingerprint(laplacian))
+        spectrum = found._rescaled(2.0**units.length, 2.0**units.energy)
         return spectrum.described(spectrum.certificate, provenance)
 
     try:
@@ -179,14 +162,12 @@ class _Run:
                 " as Cascade()",
                 partial=partial,
             ) from error
-        spectrum = self.packed(pairs)
-        if spectrum.provenance.accuracy in ("exact", "to tolerance"):
-            return self.completed(spectrum)
-        assert spectrum.certificate is not None
-        told = with_bounds(spectrum.certificate, spectrum, self.laplacian)
-        return spectrum.described(told, spectrum.provenance)
+        spectrum, certificate = self.certified(pairs)
+        if self.promise in ("exact", "to tolerance"):
+            return self.completed(spectrum, certificate)
+        return self.packed(spectrum, with_bounds(certificate, spectrum, self.laplacian))
 
-    def completed(self, spectrum: Spectrum) -> Spectrum:
+    def completed(self, spectrum: Spectrum, certificate: Certificate) -> Spectrum:
         """Count the eigenvalues, and go on from what was found until none is missing.
 
         Lanczos from one vector and blocks from a start that lacks something converge to true modes
@@ -195,17 +176,15 @@ class _Run:
         laplacian, k, added, why = self.laplacian, self.k, 0, "use another solver"
         for seed in range(_ROUNDS):
             begin = time.perf_counter()
-            count = replace(count_modes(spectrum, laplacian), added=added)
+            count = replace(count_modes(spectrum, certificate, laplacian), added=added)
             self.book("count", time.perf_counter() - begin)
-            assert spectrum.certificate is not None
-            certificate = replace(spectrum.certificate, count=count)
-            provenance = replace(spectrum.provenance, seconds=self.seconds())
+            certificate = replace(certificate, count=count)
             if not count.missing:
-                told = self.estimated(with_bounds(certificate, spectrum, laplacian), spectrum)
-                return spectrum.described(told, provenance)
-            counted = spectrum.described(certificate, provenance)
-            room = _NEAR if spectrum.provenance.accuracy == "exact" else 1
-            rtol = float(room * spectrum.certificate.relative_residuals.max())
+                bounded = with_bounds(certificate, spectrum, laplacian)
+                return self.packed(spectrum, self.estimated(bounded, spectrum))
+            counted = self.packed(spectrum, certificate)
+            room = _NEAR if self.promise == "exact" else 1
+            rtol = float(room * certificate.relative_residuals.max())
             basis = Union(
                 GivenBasis(spectrum.eigenvectors), RandomBasis(m=count.missing, seed=seed)
             )
@@ -220,12 +199,13 @@ class _Run:
                 good = getattr(e, "converged", None)
                 if good is not None and len(self.parts) == 1 and good[:k].all():
                     pairs = self.merged(k)
-                elif spectrum.provenance.name != "dense" and self.largest <= Dense.few:
+                elif counted.provenance.name != "dense" and max(map(len, self.parts)) <= Dense.few:
                     pairs = self.densely(k, f"{added or count.missing} passed over, and {why}")
                 else:
                     break
             added = max(added, count.missing)
-            spectrum = self.packed(Eigenpairs(pairs.eigenvalues[:k], pairs.eigenvectors[:, :k]))
+            lowest = Eigenpairs(pairs.eigenvalues[:k], pairs.eigenvectors[:, :k])
+            spectrum, certificate = self.certified(lowest)
         raise ConvergenceError(
             f"{self.name}: at least {quantity(min(count.missing, k), 'mode')} of the lowest {k}"
             f" were passed over ({count.reason}), and could not be found: {why}",
@@ -247,11 +227,6 @@ class _Run:
         pairs = self.components(k, dense)
         self.chosen = {i: Chosen(dense, why, len(part)) for i, part in enumerate(self.parts)}
         return pairs
-
-    @property
-    def largest(self) -> int:
-        """Points of the largest component."""
-        return max(map(len, self.parts))
 
     def components(self, k: int, solver: Eigensolver) -> Eigenpairs:
         """Solve each component, merge the k lowest pairs of all, eigenvectors padded with zeros."""
@@ -318,7 +293,7 @@ class _Run:
         """Call the backend on one component, check the form of its answer, and sort it."""
         start = time.perf_counter()
         if k == 0:
-            return Eigenpairs(np.empty(0), np.empty((laplacian.n, 0)), errors=np.empty(0))
+            return _none(laplacian.n)
         if laplacian.n == 1:  # an isolated point: nothing to solve
             value = laplacian.stiffness.diagonal() / laplacian.mass
             vector = 1 / np.sqrt(laplacian.mass)[:, None]
@@ -329,8 +304,7 @@ class _Run:
             else:
                 pairs = Eigenpairs(*solver.eigenpairs(laplacian, k))
         except NotConvergedError as error:
-            nothing = Eigenpairs(np.empty(0), np.empty((laplacian.n, 0)))
-            self.count(error.pairs or nothing, time.perf_counter() - start)
+            self.count(error.pairs or _none(laplacian.n), time.perf_counter() - start)
             raise
         pairs = _of_checked_form(pairs, solver, (laplacian.n, k))
         self.count(pairs, time.perf_counter() - start)
@@ -349,7 +323,7 @@ class _Run:
         n, pairs = self.laplacian.n, list(self.found.values())
         parts = [self.parts[i] for i in self.found]
         if not pairs:
-            return Eigenpairs(np.empty(0), np.empty((n, 0)))
+            return _none(n)
         values = np.concatenate([p.eigenvalues for p in pairs])
         owner = np.repeat(np.arange(len(pairs)), [len(p.eigenvalues) for p in pairs])
         column = np.concatenate([np.arange(len(p.eigenvalues)) for p in pairs])
@@ -373,10 +347,10 @@ class _Run:
     def rescued(self) -> Spectrum | None:
         """Certify what was solved before a failure, if anything was."""
         pairs = self.merged(self.k)
-        return self.packed(pairs) if len(pairs.eigenvalues) else None
+        return self.packed(*self.certified(pairs)) if len(pairs.eigenvalues) else None
 
-    def packed(self, pairs: Eigenpairs) -> Spectrum:
-        """Check and certify `pairs`, and say where they come from."""
+    def certified(self, pairs: Eigenpairs) -> tuple[Spectrum, Certificate]:
+        """Check `pairs`, and return what is known of them."""
         begin, laplacian = time.perf_counter(), self.laplacian
         pairs = _sorted(pairs)
         spectrum = Spectrum(pairs.eigenvalues, pairs.eigenvectors, laplacian.mass)
@@ -388,13 +362,22 @@ class _Run:
             )
         certificate = with_excess(replace(certificate, errors=pairs.errors), spectrum, laplacian)
         self.book("certify", time.perf_counter() - begin)
+        return spectrum, certificate
+
+    def packed(self, spectrum: Spectrum, certificate: Certificate) -> Spectrum:
+        """Return the spectrum with what is known of it, and where it comes from."""
         solver, reason = self.solver_of_most()
+        other = time.perf_counter() - self.start - sum(self.stages.values())
         provenance = Provenance(
             solver=self.name if solver is self.solver else repr(solver),
-            operator=laplacian.operator,
+            operator=self.laplacian.operator,
             seed=None if (seed := getattr(solver, "seed", None)) is None else int(seed),
-            seconds=self.seconds(),
-            input_hash=_fingerprint(laplacian),
+            seconds={
+                "assembly": self.laplacian.seconds,
+                **self.stages,
+                "other": max(other, 0.0),  # what is in none of them
+            },
+            input_hash=_fingerprint(self.laplacian),
             version=VERSION,
             iterations=self.iterations,
             accuracy=self.promise,
@@ -433,15 +416,14 @@ class _Run:
         if pairs.iterations is not None:
             self.iterations = (self.iterations or 0) + pairs.iterations
 
-    def seconds(self) -> dict[str, float]:
-        """Wall time by stage, what is in none of them included."""
-        other = time.perf_counter() - self.start - sum(self.stages.values())
-        return {"assembly": self.laplacian.seconds, **self.stages, "other": max(other, 0.0)}
-
 
 def promise_of(solver: Eigensolver) -> str:
     """Return what a solver goes on for; nothing where it does not say."""
     return str(getattr(solver, "promise", ""))
+
+
+def _none(n: int) -> Eigenpairs:
+    return Eigenpairs(np.empty(0), np.empty((n, 0)), errors=np.empty(0))
 
 
 def _name_of(solver: Eigensolver) -> str:

@@ -20,7 +20,7 @@ from spectra_kit._core.threads import blas_threads_for
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, check_positive, quantity
 from spectra_kit._sparse.host import gram
-from spectra_kit._sparse.residuals import residual_norms
+from spectra_kit._sparse.products import residual_norms
 from spectra_kit.eigen.certificate import Certificate, ModeCount, Provenance
 from spectra_kit.eigen.spectrum_file import REMEDY, read_spectrum_file, write_spectrum_file
 from spectra_kit.errors import InvalidInputError, InvalidSpectrumError
@@ -146,18 +146,20 @@ class Spectrum(Rebuilt):
                 f"be in [{1 / _LARGEST_FACTOR:g}, {_LARGEST_FACTOR:g}], whose squares are numbers",
                 f"{factor:g}",
             )
-        square = factor**2
-        certificate = self.certificate
-        if certificate is not None:
-            certificate = replace(
-                certificate,
-                residuals=certificate.residuals / square,
-                count=certificate.count and certificate.count.rescaled(square),
-            )
+        return self._rescaled(factor)
+
+    def _rescaled(self, length: float, energy: float = 1.0) -> Spectrum:
+        """Return it with lengths, and energies, multiplied by these."""
+        square, old = length**2, self.certificate
+        certificate = old and replace(
+            old,
+            residuals=old.residuals / square * energy,
+            count=old.count and old.count.rescaled(square).rescaled(1 / energy),
+        )
         return replace(
             self,
-            eigenvalues=self.eigenvalues / square,
-            eigenvectors=self.eigenvectors / factor,
+            eigenvalues=self.eigenvalues / square * energy,
+            eigenvectors=self.eigenvectors / length,
             mass=self.mass * square,
             certificate=certificate,
             provenance=replace(self.provenance, input_hash=""),
@@ -290,12 +292,8 @@ class Spectrum(Rebuilt):
         OSError
             If it cannot be written.
         """
-        write_spectrum_file(
-            Path(path),
-            {n: getattr(self, n) for n in ("eigenvalues", "eigenvectors", "mass")},
-            plain(self.certificate) if self.certificate else None,
-            vars(self.provenance),
-        )
+        arrays = {n: getattr(self, n) for n in ("eigenvalues", "eigenvectors", "mass")}
+        write_spectrum_file(Path(path), arrays, self.certificate, self.provenance)
 
     @classmethod
     def load(cls, path: str | Path, *, mmap: bool = False) -> Spectrum:
@@ -310,13 +308,8 @@ class Spectrum(Rebuilt):
             If the file is not there or no spectrum, is truncated, or has a newer format version.
         """
         path = Path(path)
-        arrays, certificate, provenance = read_spectrum_file(path, mmap=mmap)
         with parsing(path, "spectrum file", remedy=REMEDY):
-            return cls(
-                **arrays,
-                certificate=_restored(certificate) if certificate else None,
-                provenance=Provenance(**provenance),
-            )
+            return cls(**read_spectrum_file(path, mmap=mmap))
 
     def to_torch(
         self, *, device: str | torch.device = "cpu", dtype: torch.dtype | None = None
@@ -415,22 +408,6 @@ def _check_covers(certificate: Certificate | None, k: int) -> None:
         raise InvalidSpectrumError(
             "certificate", f"cover {quantity(k, 'mode')}", len(certificate.residuals)
         )
-
-
-def plain(certificate: Certificate) -> dict[str, Any]:
-    """Return the fields of a certificate; what it does not have is left out."""
-    record = {name: value for name, value in vars(certificate).items() if value is not None}
-    if certificate.count is not None:
-        record["count"] = dict(vars(certificate.count))
-    for name in record.keys() & {"excess", "errors", "bounded"}:
-        record[name] = record[name].tolist()
-    return record
-
-
-def _restored(record: Mapping[str, Any]) -> Certificate:
-    """Return the certificate with these fields."""
-    count = record.get("count")
-    return Certificate(**{**record, "count": ModeCount(**count) if count else None})
 
 
 def _as_columns(name: str, values: ArrayLike, rows: int) -> Floats:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from spectra_kit._core.arrays_file import read_arrays, write_arrays
 from spectra_kit.catalogue import SOLVERS
+from spectra_kit.eigen.certificate import Certificate, ModeCount, Provenance
 from spectra_kit.errors import InvalidFileError
 
 # 2: certificates may hold a count; 3: what it misses, `accuracy`, `excess`; 4: `name`; 5: `errors`
@@ -24,11 +25,11 @@ _RESIDUALS = ("residuals", "relative_residuals")
 def write_spectrum_file(
     path: Path,
     arrays: Mapping[str, NDArray[np.floating]],
-    certificate: Mapping[str, Any] | None,
-    provenance: Mapping[str, Any],
+    certificate: Certificate | None,
+    provenance: Provenance,
     **more: object,
 ) -> None:
-    """Write `arrays`, and the scalars of `certificate` and `provenance` as JSON, to `path`.
+    """Write `arrays`, and what is known of them as JSON, to `path`.
 
     What `more` there is to say stands in the header, too.
     """
@@ -36,20 +37,23 @@ def write_spectrum_file(
     header: dict[str, Any] = {
         "format": "spectra_kit spectrum",
         "version": FORMAT_VERSION,
-        "provenance": {**provenance, "seconds": dict(provenance["seconds"])},
+        "provenance": {**vars(provenance), "seconds": dict(provenance.seconds)},
         "certificate": None,
         **more,
     }
     if certificate is not None:
-        members |= {name: certificate[name] for name in _RESIDUALS}
-        header["certificate"] = {k: v for k, v in certificate.items() if k not in _RESIDUALS}
+        record = {name: value for name, value in vars(certificate).items() if value is not None}
+        members |= {name: record.pop(name) for name in _RESIDUALS}
+        for name in record.keys() & {"excess", "errors", "bounded"}:
+            record[name] = record[name].tolist()
+        if certificate.count is not None:
+            record["count"] = vars(certificate.count)
+        header["certificate"] = record
     write_arrays(path, header, members)
 
 
-def read_spectrum_file(
-    path: Path, *, mmap: bool
-) -> tuple[dict[str, Any], dict[str, Any] | None, dict[str, Any]]:
-    """Return the arrays, the certificate's fields (or None) and the provenance's fields."""
+def read_spectrum_file(path: Path, *, mmap: bool) -> dict[str, Any]:
+    """Return what a spectrum is made of, by name."""
 
     def choose(header: dict[str, Any]) -> tuple[str, ...]:
         if header["format"] != "spectra_kit spectrum":
@@ -73,10 +77,12 @@ def read_spectrum_file(
         remedy=REMEDY,
         mapped=_ARRAYS if mmap else (),
     )
-    certificate = header["certificate"]
-    if certificate is not None:
-        certificate |= {name: arrays.pop(name) for name in _RESIDUALS}
-    return arrays, certificate, header["provenance"]
+    record, certificate = header["certificate"], None
+    if record is not None:
+        count = record.pop("count", None)
+        record |= {name: arrays.pop(name) for name in _RESIDUALS}
+        certificate = Certificate(**record, count=ModeCount(**count) if count else None)
+    return {**arrays, "certificate": certificate, "provenance": Provenance(**header["provenance"])}
 
 
 def _named(provenance: Mapping[str, Any]) -> dict[str, Any]:

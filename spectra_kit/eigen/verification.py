@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,12 +11,10 @@ from scipy import sparse
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
 from spectra_kit._core.types import Floats
-from spectra_kit._sparse import SparseLDL
 from spectra_kit._sparse.host import gram
-from spectra_kit.eigen.accuracy import rounding, with_bounds, with_excess
-from spectra_kit.eigen.certificate import ModeCount
-from spectra_kit.eigen.spectrum import Spectrum
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.eigen.accuracy import counting_factor, rounding, with_bounds, with_excess
+from spectra_kit.eigen.certificate import Certificate, ModeCount
+from spectra_kit.eigen.spectrum import Spectrum, certificate_of
 from spectra_kit.operators.laplacian import Laplacian
 
 _EPS = float(np.finfo(np.float64).eps)
@@ -89,10 +87,8 @@ def verify(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
     1
     """
     clock = Clock()
-    certified = spectrum.certify(laplacian)
-    assert certified.certificate is not None
-    certificate = with_excess(certified.certificate, certified, laplacian)
-    count = _counted(certified, laplacian, thorough=True)
+    certificate = with_excess(certificate_of(spectrum, laplacian), spectrum, laplacian)
+    count = _counted(spectrum, certificate, laplacian, thorough=True)
     before = spectrum.certificate
     if before is not None and before.count is not None:
         count = replace(count, added=before.count.added)
@@ -101,26 +97,26 @@ def verify(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
     errors = None if before is None or count.missing or before.bounded.any() else before.errors
     certificate = replace(certificate, count=count, errors=errors)
     provenance = replace(spectrum.provenance, seconds=seconds)
-    return certified.described(with_bounds(certificate, certified, laplacian), provenance)
+    return spectrum.described(with_bounds(certificate, spectrum, laplacian), provenance)
 
 
-def count_modes(spectrum: Spectrum, laplacian: Laplacian) -> ModeCount:
+def count_modes(spectrum: Spectrum, certificate: Certificate, laplacian: Laplacian) -> ModeCount:
     """Return what one or two counts prove, as `eigensolve` makes them of what is to be exact.
 
     Where a factor does not fit into memory nothing is proved, and the reason says so.
     """
     try:
-        return _counted(spectrum, laplacian, thorough=False)
+        return _counted(spectrum, certificate, laplacian, thorough=False)
     except MemoryError as error:  # the modes are there, and must not be lost for it
         reason = f"not counted: {str(error) or 'out of memory'}"
         return ModeCount(verified=0, radius=0.0, floor=0.0, reason=reason)
 
 
-def _counted(spectrum: Spectrum, laplacian: Laplacian, *, thorough: bool) -> ModeCount:
-    """Return what counts prove of a certified spectrum, zero modes included."""
-    count = _Prover.of(spectrum, laplacian).prove(thorough=thorough)
-    certificate = spectrum.certificate
-    assert certificate is not None
+def _counted(
+    spectrum: Spectrum, certificate: Certificate, laplacian: Laplacian, *, thorough: bool
+) -> ModeCount:
+    """Return what counts prove of a spectrum, zero modes included."""
+    count = _Prover.of(spectrum, certificate, laplacian).prove(thorough=thorough)
     lacking = min(certificate.kernel_dimension, spectrum.k) - certificate.n_zero_modes
     if lacking <= 0 or count.verified == spectrum.k:
         return count
@@ -156,11 +152,12 @@ class _Refuted(NamedTuple):
     missing: int = 0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Prover:
     """The operator on its free points, the eigenvalues found, and how far these may be off.
 
-    The first j + 1 of the `values` are within ``radii[j]`` of as many true ones.
+    The first j + 1 of the `values` are within ``radii[j]`` of as many true ones. What counts have
+    proved and refuted so far is kept.
     """
 
     stiffness: sparse.csr_array
@@ -168,12 +165,13 @@ class _Prover:
     spacing: float
     values: Floats
     radii: Floats
+    proof: _Proof = field(default_factory=_Proof)
+    refuted: _Refuted = field(default_factory=_Refuted)
 
     @classmethod
-    def of(cls, spectrum: Spectrum, laplacian: Laplacian) -> _Prover:
-        """Of a certified spectrum."""
-        free, certificate = laplacian.free, spectrum.certificate
-        assert certificate is not None
+    def of(cls, spectrum: Spectrum, certificate: Certificate, laplacian: Laplacian) -> _Prover:
+        """Of a spectrum and what is known of it."""
+        free = laplacian.free
         if len(laplacian.fixed):
             vectors = spectrum.eigenvectors[free]
             spectrum = Spectrum(spectrum.eigenvalues, vectors, spectrum.mass[free])
@@ -198,50 +196,41 @@ class _Prover:
             radius = float(self.values[-1] + self.radii[-1])
             return ModeCount(verified=k, radius=radius, floor=0.0)
         candidates = self._candidates()
-        count, refuted = _Proof(), _Refuted()
         if candidates and candidates[-1] == k:
-            count, refuted = self._settle(k, count, refuted)
-            candidates.pop()
-        if count.verified < k:
+            self._settle(candidates.pop())
+        if self.proof.verified < k:
             # Where nothing is missing, only the last cluster may be cut by k: look below it, and
             # close to it, for what is missing lies lower.
-            tail = candidates[-1] if candidates else 0
-            count, refuted = self._settle(tail, count, refuted, below_next=True)
+            self._settle(candidates[-1] if candidates else 0, below_next=True)
         # What was missed below a shift was missed below every higher one.
-        low, high = -1, len(candidates) if thorough and count.verified < k else 0
+        low, high = -1, len(candidates) if thorough and self.proof.verified < k else 0
         while low < high - 1:
             probe = (low + high) // 2
             j = candidates[probe]
-            if count.verified < j:
-                count, refuted = self._settle(j, count, refuted)
-            low, high = (probe, high) if count.verified >= j else (low, probe)
-        reason = "" if count.verified == k else self._reason(count.verified, refuted)
-        return ModeCount(
-            verified=count.verified,
-            radius=count.radius,
-            floor=count.floor,
-            missing=refuted.missing,
-            reason=reason,
-        )
+            if self.proof.verified < j:
+                self._settle(j)
+            low, high = (probe, high) if self.proof.verified >= j else (low, probe)
+        reason = "" if self.proof.verified == k else self._reason()
+        return ModeCount(**self.proof._asdict(), missing=self.refuted.missing, reason=reason)
 
-    def _settle(
-        self, j: int, proof: _Proof, refuted: _Refuted, *, below_next: bool = False
-    ) -> tuple[_Proof, _Refuted]:
+    def _settle(self, j: int, *, below_next: bool = False) -> None:
         """Count the eigenvalues between mode j and the next, and draw the conclusion."""
         k = len(self.values)
         below = self._count(j, below_next=below_next)
         if below is None:
-            return proof, refuted
+            return
         if below.number == j:
             radius = float(self.radii[j - 1]) if j else 0.0
             # All that come later are at least the floor, and at most what was found: where that
             # leaves no room to speak of, they are the next ones too, whatever else is up there.
             width = float(self.values[-1] + self.radii[-1] - below.floor)
             if j < k and width <= _CLUSTER * self.values[-1]:
-                return _Proof(k, max(radius, width), below.floor), refuted
-            return max(proof, _Proof(j, radius, below.floor)), refuted
+                self.proof = _Proof(k, max(radius, width), below.floor)
+            else:
+                self.proof = max(self.proof, _Proof(j, radius, below.floor))
+            return
         surplus = below.certain - j if j < k and below.ceiling < self.values[j] else 0
-        return proof, _Refuted(j, below, max(surplus, refuted.missing))
+        self.refuted = _Refuted(j, below, max(surplus, self.refuted.missing))
 
     def _candidates(self) -> list[int]:
         """Return all j so that the first j modes are well apart from the next; k, if it may be."""
@@ -258,12 +247,12 @@ class _Prover:
         for sigma in self._shifts(j, below_next):
             if not lowest < sigma < highest:
                 continue
-            try:
-                shifted = sparse.csr_array(self.stiffness - sigma * sparse.diags_array(self.mass))
-                factor = SparseLDL(shifted, definite=False)
-            except InvalidInputError:  # a zero pivot: this shift is as good as an eigenvalue
+            factor = counting_factor(self.stiffness, self.mass, sigma)
+            if factor is None:
                 continue
-            error = factor.backward_error(self.mass) + _rounding(self, sigma)
+            # And what rounds the diagonal of L - sigma M.
+            largest = np.abs(self.stiffness.diagonal() / self.mass).max()
+            error = factor.backward_error(self.mass) + float(_EPS * (sigma + largest))
             if sigma - error > lowest:
                 # What counts as zero may be negative: no more than both lie below.
                 negative, zero, _ = factor.inertia
@@ -288,9 +277,9 @@ class _Prover:
         value = float(self.values[min(j, len(self.values) - 1)])
         return min(self.spacing, value) if value > 0 else self.spacing
 
-    def _reason(self, proved: int, refuted: _Refuted) -> str:
-        """Say why no more than `proved` modes are verified."""
-        at, below = refuted.at, refuted.below
+    def _reason(self) -> str:
+        """Say why no more modes are verified."""
+        proved, at, below = self.proof.verified, self.refuted.at, self.refuted.below
         if below is not None:
             cut = ", or k cuts a cluster (ask for a few more)" if at == len(self.values) else ""
             return (
@@ -311,11 +300,6 @@ class _Prover:
                 " refine the modes (if they are exact, degenerate faces make rounding this large)"
             )
         return "rounding in the factor of L - sigma M was too large for every shift tried"
-
-
-def _rounding(prover: _Prover, sigma: float) -> float:
-    """Bound the rounding of the diagonal of ``L - sigma M``."""
-    return float(_EPS * (sigma + np.abs(prover.stiffness.diagonal() / prover.mass).max()))
 
 
 def _radii(spectrum: Spectrum, laplacian: Laplacian, residuals: Floats) -> Floats:

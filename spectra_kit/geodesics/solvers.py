@@ -195,7 +195,6 @@ class IterativePoisson:
             matrix,
             drop=options.drop,
             relaxation=options.relaxation,
-            reorder=False,
             dtype=np.float32,
         )
         self._coarse = None

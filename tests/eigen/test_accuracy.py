@@ -18,9 +18,9 @@ from spectra_kit.geometry import rectangle, sphere
 
 SHAPES = {
     "sphere": lambda: sphere(subdivisions=3).geometry,
-    "rectangle": lambda: rectangle(n=1000).geometry,
-    "animal": lambda: creature(3000, seed=0),
-    "parts": lambda: joined(creature(1500, seed=0), moved(creature(900, seed=0), 9, 0, 0)),
+    "rectangle": lambda: rectangle(n=600).geometry,
+    "animal": lambda: creature(1500, seed=0),
+    "parts": lambda: joined(creature(900, seed=0), moved(creature(700, seed=0), 9, 0, 0)),
 }
 K = 30
 
@@ -115,14 +115,21 @@ def test_values_that_are_no_rayleigh_quotients_are_off(animal, animal_spectrum):
     assert (given.certificate.errors >= off - 1e-12)[bounded].all()
 
 
+def assert_kept(spectrum, path, *names) -> None:
+    """Cut, scaled, written and read, a spectrum has the same numbers of each mode."""
+    spectrum.save(path)
+    for name in names:
+        known = getattr(spectrum.certificate, name)
+        for same in (sk.Spectrum.load(path), spectrum.rescale(3.0)):
+            np.testing.assert_array_equal(getattr(same.certificate, name), known)
+        short, live = spectrum.truncate(5), spectrum.nonzero()
+        np.testing.assert_array_equal(getattr(short.certificate, name), known[:5])
+        np.testing.assert_array_equal(getattr(live.certificate, name), known[1:])
+
+
 def test_the_kinds_stay_with_the_modes(tmp_path, animal_spectrum):
-    animal_spectrum.save(tmp_path / "s.npz")
-    for same in (sk.Spectrum.load(tmp_path / "s.npz"), animal_spectrum.rescale(3.0)):
-        certificate = same.certificate
-        np.testing.assert_array_equal(certificate.bounded, animal_spectrum.certificate.bounded)
-        np.testing.assert_array_equal(certificate.errors, animal_spectrum.certificate.errors)
+    assert_kept(animal_spectrum, tmp_path / "s.npz", "bounded", "errors")
     assert animal_spectrum.truncate(5).certificate.bounded.tolist() == [True] * 5
-    assert len(animal_spectrum.nonzero().certificate.bounded) == animal_spectrum.k - 1
 
 
 def test_modes_that_are_not_of_unit_norm():
@@ -221,13 +228,8 @@ def test_components_and_fixed_points():
 
 def test_the_doubts_stay_with_the_modes(laplacian, tmp_path):
     spectrum = predicted(laplacian)
-    excess = spectrum.certificate.excess
-    spectrum.save(tmp_path / "s.npz")
-    for same in (sk.Spectrum.load(tmp_path / "s.npz"), spectrum.rescale(3.0)):
-        np.testing.assert_array_equal(same.certificate.excess, excess)
-        assert verdict(same) == verdict(spectrum) != ""
-    np.testing.assert_array_equal(spectrum.truncate(5).certificate.excess, excess[:5])
-    np.testing.assert_array_equal(spectrum.nonzero().certificate.excess, excess[1:])
+    assert_kept(spectrum, tmp_path / "s.npz", "excess")
+    assert verdict(sk.Spectrum.load(tmp_path / "s.npz")) == verdict(spectrum) != ""
     assert sk.verify(spectrum, laplacian).certificate.excess.max() > DOUBTFUL
 
 

@@ -5,13 +5,15 @@ from functools import partial
 
 import numpy as np
 import pytest
-from conftest import bumpy, creature, joined, refused
+from conftest import bumpy, creature, joined, moved
 from scipy import sparse
 
 import spectra_kit as sk
 from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit.eigen import automatic
-from spectra_kit.geometry import TriangleMesh, rectangle, sphere
+from spectra_kit.geometry import rectangle, sphere
+
+K = 40  # of fewer, a cascade leaves few points to Lanczos
 
 
 def errors(spectrum: sk.Spectrum, exact: sk.Spectrum) -> np.ndarray:
@@ -22,18 +24,18 @@ def errors(spectrum: sk.Spectrum, exact: sk.Spectrum) -> np.ndarray:
 @pytest.fixture(autouse=True)
 def few_are_fewer(monkeypatch) -> None:
     """Let thousands of points be many: the rule is the same, and tests are quick."""
-    monkeypatch.setattr(automatic, "_FEW", 5_000)
-    monkeypatch.setattr(automatic, "_FEW_FOR_EACH", 60)
+    monkeypatch.setattr(automatic, "_FEW", 2_000)
+    monkeypatch.setattr(automatic, "_FEW_FOR_EACH", 20)
 
 
 @pytest.fixture(scope="module")
 def animal() -> sk.Laplacian:
-    return sk.robust_laplacian(creature(6000, seed=0))
+    return sk.robust_laplacian(creature(2500, seed=0))
 
 
 @pytest.fixture(scope="module")
 def exact(animal) -> sk.Spectrum:
-    return sk.eigensolve(animal, 30, sk.Arpack())
+    return sk.eigensolve(animal, K, sk.Arpack())
 
 
 @pytest.fixture(scope="module")
@@ -61,16 +63,14 @@ def rough(n: int) -> sk.Laplacian:
 @pytest.mark.parametrize(
     ("accuracy", "name", "promise"),
     [
-        (None, "arpack", "exact"),
-        (1e-14, "arpack", "exact"),
-        (1e-8, "arpack", "exact"),
-        (1e-5, "arpack", "exact"),
+        (None, "lanczos", "exact"),
+        (1e-5, "lanczos", "exact"),
         (1e-4, "cascade", "approximate"),
         (1e-2, "cascade", "approximate"),
     ],
 )
 def test_the_accuracy_is_met_and_the_choice_is_told(animal, exact, accuracy, name, promise) -> None:
-    found = sk.eigensolve(animal, 30, sk.Automatic(accuracy=accuracy))
+    found = sk.eigensolve(animal, K, sk.Automatic(accuracy=accuracy))
     made, certificate = found.provenance, found.certificate
     assert errors(found, exact).mean() <= (accuracy or 1e-12)
     assert (made.name, made.accuracy) == (name, promise)
@@ -98,24 +98,22 @@ def test_it_is_the_default() -> None:
     assert sk.spectrum(bumpy(), 4).provenance.reason
 
 
-@pytest.mark.parametrize("accuracy", [1e-2, 1e-4])
-def test_analytic_spectrum_of_the_sphere(accuracy) -> None:
+def test_analytic_spectrum_of_the_sphere() -> None:
     """Degrees l up to 6, as far as the mesh itself is off: its errors are of second order."""
-    found = sk.eigensolve(
-        sk.robust_laplacian(sphere(subdivisions=5).geometry), 49, sk.Automatic(accuracy=accuracy)
-    )
+    ball = sk.robust_laplacian(sphere(subdivisions=5).geometry)
+    found = sk.eigensolve(ball, 49, sk.Automatic(accuracy=1e-4))
     true = np.repeat([degree * (degree + 1) for degree in range(7)], range(1, 15, 2))
     assert found.provenance.name == "cascade"
-    assert np.abs(found.eigenvalues[1:] / true[1:] - 1).mean() <= accuracy + 3e-3
+    assert np.abs(found.eigenvalues[1:] / true[1:] - 1).mean() <= 1e-4 + 3e-3
 
 
 @pytest.mark.parametrize("accuracy", [1e-3, 1e-7])
 def test_points_held_at_zero(accuracy) -> None:
-    mesh = rectangle(n=6000).geometry
+    mesh = rectangle(n=2600).geometry
     drum = sk.robust_laplacian(mesh).dirichlet(mesh.boundary_vertices)
-    found = sk.eigensolve(drum, 30, sk.Automatic(accuracy=accuracy))
-    exact = sk.eigensolve(drum, 30, sk.Arpack())
-    assert found.provenance.name in ("cascade", "arpack")
+    found = sk.eigensolve(drum, K, sk.Automatic(accuracy=accuracy))
+    exact = sk.eigensolve(drum, K, sk.Arpack())
+    assert found.provenance.name in ("cascade", "lanczos")
     assert errors(found, exact).mean() <= accuracy
     assert not found.eigenvectors[drum.fixed].any()
 
@@ -125,7 +123,6 @@ def test_points_held_at_zero(accuracy) -> None:
     [
         (1e-7, 1, "1 step of smoothing left errors of "),
         (1e-7, 0, "0 steps of smoothing left unknown errors"),
-        (1e-3, 0, "0 steps of smoothing left unknown errors"),
     ],
 )
 def test_smoothing_that_stalls_goes_on_with_a_factor(
@@ -134,7 +131,7 @@ def test_smoothing_that_stalls_goes_on_with_a_factor(
     """From the modes that are there, until the certificate says that they are good enough."""
     monkeypatch.setattr(automatic, "_STEPS", steps)
     monkeypatch.setattr(automatic, "_TIGHT", 1e-7)
-    found = sk.eigensolve(animal, 30, sk.Automatic(accuracy=accuracy))
+    found = sk.eigensolve(animal, K, sk.Automatic(accuracy=accuracy))
     assert errors(found, exact).mean() <= found.certificate.errors.mean() <= accuracy
     assert found.certificate.relative_residuals.max() <= accuracy
     made = found.provenance
@@ -158,10 +155,10 @@ def test_what_goes_on_and_does_not_converge_keeps_the_modes(monkeypatch, animal,
     monkeypatch.setattr(automatic, "_STEPS", 1)
     monkeypatch.setattr(automatic, "_TIGHT", 1e-9)
     monkeypatch.setattr(automatic, "Refined", partial(sk.Refined, max_sweeps=1))
-    with pytest.raises(sk.errors.ConvergenceError, match=r"30 modes reached rtol") as caught:
-        sk.eigensolve(animal, 30, sk.Automatic(accuracy=1e-9))
+    with pytest.raises(sk.errors.ConvergenceError, match=r"40 modes reached rtol") as caught:
+        sk.eigensolve(animal, K, sk.Automatic(accuracy=1e-9))
     kept = caught.value.partial
-    assert (kept.k, kept.provenance.name) == (30, "refined")
+    assert (kept.k, kept.provenance.name) == (K, "refined")
     assert kept.provenance.reason.startswith("1 step of smoothing left errors of ")
     assert {"coarsen", "smooth", "filter"} <= kept.provenance.seconds.keys()
     assert errors(kept, exact).mean() < 1e-4
@@ -177,35 +174,38 @@ def test_what_goes_on_and_does_not_fit_into_memory_keeps_the_modes(
     monkeypatch.setattr(automatic, "_TIGHT", 1e-9)
     monkeypatch.setattr(sk.Refined, "eigenpairs", full)
     with pytest.raises(sk.errors.ConvergenceError, match="no room for a factor") as caught:
-        sk.eigensolve(animal, 30, sk.Automatic(accuracy=1e-9))
+        sk.eigensolve(animal, K, sk.Automatic(accuracy=1e-9))
     kept = caught.value.partial
-    assert (kept.k, kept.provenance.name, caught.value.n_converged) == (30, "cascade", 0)
+    assert (kept.k, kept.provenance.name, caught.value.n_converged) == (K, "cascade", 0)
     assert kept.certificate.errors.mean() > 1e-9
     assert errors(kept, exact).mean() < 1e-2
     assert str(caught.value).endswith("; raise accuracy")
 
 
-@pytest.mark.parametrize("device", ["cpu", "cpu:0"])
-def test_without_a_factor(animal, exact, flat, flat_exact, device) -> None:
+@pytest.mark.parametrize("accuracy", [None, 1e-7])
+def test_without_a_factor(animal, exact, flat, flat_exact, accuracy) -> None:
     """Where none fits into memory, and on a device, which has none."""
-    solver = sk.Automatic(memory=1e-3, device=device)
-    for laplacian, truth in ((animal, exact), (flat, flat_exact)):
-        for accuracy in (None, 1e-7):
-            found = sk.eigensolve(laplacian, 30, replace(solver, accuracy=accuracy))
-            assert errors(found, truth).mean() <= (accuracy or 1e-12)
-            assert found.provenance.name == "cascade"
-            assert found.provenance.reason.endswith("GiB, more than 0.001")
-            assert found.certificate.count is None, "that would take a factor"
+    solver = sk.Automatic(memory=1e-3, accuracy=accuracy)
+    for laplacian, truth, device in (
+        (animal, exact, "cpu"),
+        (animal, exact, "cpu:0"),
+        (flat, flat_exact, "cpu"),
+    ):
+        found = sk.eigensolve(laplacian, truth.k, replace(solver, device=device))
+        assert errors(found, truth).mean() <= (accuracy or 1e-12)
+        assert found.provenance.name == "cascade"
+        assert found.provenance.reason.endswith("GiB, more than 0.001")
+        assert found.certificate.count is None, "that would take a factor"
 
 
 def test_smoothing_that_nothing_goes_on_from_keeps_the_modes() -> None:
-    laplacian = rough(5500)
-    missed = f"{automatic._MANY} steps of smoothing left errors of .*, more than 1e-07"
+    laplacian = rough(2500)
+    missed = r"\d+ steps of smoothing left errors of .*, more than 1e-07"
     with pytest.raises(sk.errors.ConvergenceError, match=missed) as caught:
-        sk.eigensolve(laplacian, 10, sk.Automatic(accuracy=1e-7, memory=1e-3))
+        sk.eigensolve(laplacian, K, sk.Automatic(accuracy=1e-7, memory=1e-3))
     kept = caught.value.partial
-    assert (kept.k, kept.provenance.name, caught.value.n_converged) == (10, "cascade", 0)
-    assert errors(kept, sk.eigensolve(laplacian, 10, sk.Arpack())).mean() < 1e-2
+    assert (kept.k, kept.provenance.name, caught.value.n_converged) == (K, "cascade", 0)
+    assert errors(kept, sk.eigensolve(laplacian, K, sk.Arpack())).mean() < 1e-2
 
 
 def test_memory_counts_the_factor_and_what_is_made_with_it() -> None:
@@ -218,43 +218,33 @@ def test_memory_counts_the_factor_and_what_is_made_with_it() -> None:
         assert isinstance(sk.Automatic(memory=sk.Lanczos.memory(n, k)).choose(n, k)[0], sk.Lanczos)
 
 
-def test_each_component_has_its_own(tmp_path) -> None:
-    """A large part and small ones: approximate if any is, with errors of all."""
-    ball = bumpy()
-    small = [TriangleMesh(ball.points + [4.0 * i, 0, 0], ball.faces) for i in (1, 2)]
-    mesh = joined(creature(6000, seed=0), *small)
-    laplacian = sk.robust_laplacian(mesh)
-    found = sk.eigensolve(laplacian, 40, sk.Automatic(accuracy=1e-4))
-    exact = sk.eigensolve(laplacian, 40, sk.Arpack())
-    made = found.provenance
-    assert made.name == "cascade"
-    assert made.reason.endswith("; of 3 components, 2 by arpack")
-    assert made.accuracy == "approximate"
-    assert found.n_zero_modes == 3
-    assert errors(found, exact).mean() <= 1e-4
-    assert found.certificate.errors.shape == (40,)
+@pytest.fixture(scope="module")
+def parts() -> tuple[sk.Laplacian, sk.Laplacian]:
+    """A large part and two small ones, and the small ones alone."""
+    small = [moved(bumpy(), 4.0 * i, 0, 0, scale=0.2) for i in (1, 2)]
+    whole = joined(creature(2500, seed=0), *small)
+    return sk.robust_laplacian(whole), sk.robust_laplacian(joined(*small))
+
+
+def test_each_component_has_its_own(tmp_path, parts) -> None:
+    """Approximate if any is, with errors of all; counted where none is."""
+    whole, small = parts
+    exact = sk.eigensolve(whole, 90, sk.Arpack())
+    for solver, accuracy in ((sk.Automatic(accuracy=1e-4), 1e-4), (sk.Cascade(), 1e-3)):
+        found = sk.eigensolve(whole, 90, solver)
+        made = found.provenance
+        assert (made.name, made.accuracy) == ("cascade", "approximate")
+        assert made.reason.endswith("of 3 components, 2 by arpack")
+        assert found.n_zero_modes == 3
+        assert errors(found, exact).mean() <= accuracy
+        assert found.certificate.errors.shape == (90,)
+        few = sk.eigensolve(small, 20, solver)
+        why = "an exact solution is quickest for 17 modes of 642 points"
+        assert few.provenance.choice == f"arpack: {why}"
+        assert (few.provenance.accuracy, few.certificate.level) == ("exact", "verified")
+        assert few.certificate.bounded.all()
     found.save(tmp_path / "parts.npz")
     assert sk.Spectrum.load(tmp_path / "parts.npz").provenance == made
-    few = sk.eigensolve(sk.robust_laplacian(joined(*small)), 20, sk.Automatic(accuracy=1e-4))
-    assert few.provenance.accuracy == "exact"
-    assert few.certificate.bounded.all()
-    assert few.certificate.level == "verified"
-
-
-def test_small_parts_are_solved_exactly() -> None:
-    """What solved is told, and counted where nothing is approximate."""
-    small = [TriangleMesh(bumpy().points + [4.0 * i, 0, 0], bumpy().faces) for i in (1, 2)]
-    found = sk.eigensolve(sk.robust_laplacian(joined(*small)), 20, sk.Cascade())
-    assert (
-        found.provenance.choice
-        == "arpack: an exact solution is quickest for 18 modes of 642 points"
-    )
-    assert (found.provenance.accuracy, found.certificate.level) == ("exact", "verified")
-    whole = sk.robust_laplacian(joined(creature(6000, seed=0), *small))
-    found = sk.eigensolve(whole, 40, sk.Cascade())
-    assert found.provenance.choice == "cascade: of 3 components, 2 by arpack"
-    assert found.provenance.accuracy == "approximate"
-    assert errors(found, sk.eigensolve(whole, 40, sk.Arpack())).mean() <= 1e-3
     little = sk.eigensolve(sk.robust_laplacian(bumpy()), 60, sk.Automatic(memory=1e-6))
     assert (little.provenance.name, little.provenance.accuracy) == ("arpack", "exact")
 
@@ -275,13 +265,3 @@ def test_nearly_all_modes_of_few_points() -> None:
     for k in (laplacian.n - 1, laplacian.n):
         found = sk.eigensolve(laplacian, k, sk.Automatic(accuracy=1e-6))
         np.testing.assert_allclose(found.eigenvalues, exact.eigenvalues[:k], rtol=1e-9, atol=1e-9)
-
-
-def test_what_cannot_be_chosen() -> None:
-    for accuracy in (0, -1e-3, np.nan, np.inf):
-        refused("accuracy", "be ", sk.Automatic, accuracy=accuracy)
-    for accuracy in (1, 50.0):
-        refused("accuracy", "be less than 1", sk.Automatic, accuracy=accuracy)
-    refused("accuracy", "be a number", sk.Automatic, accuracy="1e-3")
-    refused("memory", "be ", sk.Automatic, memory=0)
-    refused("seed", "be ", sk.Automatic, seed=-1)

@@ -83,7 +83,7 @@ def test_a_second_step_gains_what_is_still_wanted(animal, animal_spectrum):
 
 def test_columns_that_belong_to_the_points():
     """Their rows on the coarsest of three levels are taken."""
-    laplacian = sk.robust_laplacian(creature(8000, seed=0))
+    laplacian = sk.robust_laplacian(creature(5000, seed=0))
     exact = sk.eigensolve(laplacian, 20)
     solver = sk.Cascade(subspace=sk.GivenBasis(exact.eigenvectors), coarsest=300, max_steps=1)
     assert len(nested(laplacian, 300)) == 2
@@ -131,8 +131,7 @@ def test_levels_are_evenly_apart_and_have_room():
 
 
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
-def test_estimates_stay_with_the_modes(tmp_path):
-    """Merged in the order of the eigenvalues, cut, scaled, written and read."""
+def test_estimates_are_merged_in_the_order_of_the_eigenvalues():
     many = joined(creature(3000, seed=0), moved(bumpy(2562), 9, 0, 0), moved(bumpy(), 19, 0, 0))
     parts = sk.robust_laplacian(many)
     found = sk.eigensolve(parts, 20, sk.Cascade(coarsest=400))
@@ -144,10 +143,6 @@ def test_estimates_stay_with_the_modes(tmp_path):
     assert 0 < some.sum() < len(some)
     np.testing.assert_allclose(off[~some], 0, atol=1e-12)
     assert np.median(np.abs(np.log10(errors[3:][some] / off[some]))) < 0.5
-    found.save(tmp_path / "s.npz")
-    for same in (sk.Spectrum.load(tmp_path / "s.npz"), found.rescale(3.0)):
-        np.testing.assert_array_equal(same.certificate.errors, errors)
-    np.testing.assert_array_equal(found.truncate(5).certificate.errors, errors[:5])
     assert (sk.verify(found, parts).certificate.errors <= errors).all()
     carried = sk.eigensolve(parts, 20, sk.Cascade(coarsest=400, max_steps=0))
     assert carried.certificate.errors is None

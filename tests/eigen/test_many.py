@@ -123,8 +123,7 @@ def test_a_solver_that_takes_one_after_the_other_gives_the_same_bits(solver):
 
 
 def test_of_none_there_are_none():
-    assert eigensolve_many([], 5) == []
-    assert eigensolve_many([], 5, Neo()) == []
+    assert eigensolve_many([], 5) == eigensolve_many([], 5, Neo()) == []
 
 
 def test_batches_are_of_similar_size_and_of_no_more_points_than_allowed():
@@ -183,11 +182,6 @@ def test_an_error_says_which_one_it_is_about(call, message):
     with pytest.raises(InvalidInputError, match=message) as caught:
         call()
     assert caught.value.where == message[: message.index(":")].replace("\\", "")
-
-
-def test_batches_have_a_size():
-    with pytest.raises(InvalidInputError, match="`batch` must be at least 1, got 0"):
-        eigensolve_many(bodies(), K, Neo(), batch=0)
 
 
 def test_a_warning_says_which_one_it_is_about():

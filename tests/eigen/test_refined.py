@@ -7,7 +7,7 @@ import pytest
 
 import spectra_kit as sk
 from spectra_kit._sparse import host
-from spectra_kit._sparse.residuals import residual_norms, residuals
+from spectra_kit._sparse.products import residual_norms, residuals
 from spectra_kit._sparse.ritz import ritz_pairs, ritz_rotation
 from spectra_kit._sparse.shift_invert import shift_invert_iteration
 from spectra_kit.geometry import sphere
@@ -127,7 +127,7 @@ def test_ritz_pairs_of_a_bad_basis(bumpy_laplacian) -> None:
     L, mass = bumpy_laplacian.stiffness, bumpy_laplacian.mass
     modes = sk.eigensolve(bumpy_laplacian, 30).eigenvectors
     rng = np.random.default_rng(0)
-    for condition in (1.0, 1e4, 1e8):
+    for condition in (1.0, 1e8):
         mixed = modes @ rng.standard_normal((30, 30)) * np.geomspace(1, condition, 30)
         twice = np.hstack([mixed, mixed[:, :7] @ rng.standard_normal((7, 4))])
         values, vectors, rank = ritz_pairs(L, mass, twice, 30)

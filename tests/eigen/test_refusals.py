@@ -46,9 +46,6 @@ TABLE = [
         "k",
         "be at most the number of free points, 2",
     ),
-    (lambda: solve(sk.Dense(), True), "k", "be an integer"),
-    (lambda: solve(sk.Arpack), "solver", "be an Eigensolver"),
-    (lambda: solve("apack"), "solver", "be an Eigensolver"),
     (lambda: solve(sk.Dense(max_points=600)), "laplacian", "have at most 600 points for Dense"),
     (
         lambda: solve(sk.Arpack(), 7000, sk.robust_laplacian(creature(20_500, seed=0))),
@@ -60,7 +57,6 @@ TABLE = [
     # Hyper-parameters.
     (lambda: sk.Arpack(shift=0), "shift", "be positive"),
     (lambda: sk.Arpack(tol=-1), "tol", "be in [0, 1)"),
-    (lambda: sk.Arpack(tol="tight"), "tol", "be a number"),
     (lambda: sk.Arpack(max_restarts=0), "max_restarts", "be at least 1"),
     (lambda: sk.Lanczos(max_shifts=0), "max_shifts", "be at least 1"),
     (lambda: sk.Dense(max_points=0), "max_points", "be at least 1"),
@@ -74,12 +70,18 @@ TABLE = [
     (lambda: sk.Cascade(coarsest=1), "coarsest", "be at least 100"),
     (lambda: sk.Cascade(max_steps=-1), "max_steps", "be at least 0"),
     (lambda: sk.Cascade(target=0.0), "target", "be positive"),
-    (lambda: sk.Neo(poses=3), "poses", "be 1, 2 or 4"),  # type: ignore[arg-type]
     (lambda: sk.Neo(rank_tol=0.0), "rank_tol", "be positive"),
+    *(
+        (lambda a=accuracy: sk.Automatic(accuracy=a), "accuracy", expected)
+        for accuracy, expected in ((0, "be "), (-1e-3, "be "), (1, "be less than 1"))
+    ),
+    (lambda: sk.Automatic(memory=0), "memory", "be "),
+    (lambda: sk.Automatic(seed=-1), "seed", "be "),
     # Subspaces.
-    (lambda: sk.Refined(start=np.eye(3)), "start", "be a Subspace or None"),
-    (lambda: sk.RayleighRitz(subspace=None), "subspace", "be a Subspace"),
-    (lambda: sk.Union(3), "parts", "be a Subspace"),
+    (lambda: sk.AmbientFourier(m=4), "m", "be at least 5"),
+    (lambda: sk.AmbientFourier(bandwidth=0.0), "bandwidth", "be positive"),
+    (lambda: sk.RandomBasis(m=0), "m", "be at least 1"),
+    (lambda: sk.RandomBasis(seed=-1), "seed", "be at least 0"),
     (lambda: sk.Union(), "parts", "hold at least one subspace"),
     (lambda: sk.GivenBasis(np.ones(4)), "columns", "have shape (n, m)"),
     (

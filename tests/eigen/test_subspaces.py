@@ -5,7 +5,6 @@ from conftest import bumpy, refused
 from spectra_kit import (
     AmbientFourier,
     GivenBasis,
-    RandomBasis,
     Refined,
     Union,
     eigensolve,
@@ -48,13 +47,6 @@ def test_fourier_covers_the_low_modes_and_more_functions_cover_more(bumpy_laplac
     ]
     assert errors[0] > 3 * errors[1] > 9 * errors[2]
     assert errors[2] < 2e-3
-
-
-def test_bad_hyper_parameters() -> None:
-    refused("m", "be at least 5", AmbientFourier, m=4)
-    refused("bandwidth", "be positive", AmbientFourier, bandwidth=0.0)
-    refused("m", "be at least 1", RandomBasis, m=0)
-    refused("seed", "be at least 0", RandomBasis, seed=-1)
 
 
 def test_bases_that_belong_to_the_points_can_be_restricted() -> None:

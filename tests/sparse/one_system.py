@@ -1,10 +1,11 @@
 """One system for all solvers."""
 
 import numpy as np
+import pytest
 from scipy import sparse
 
-from spectra_kit import delaunay_laplacian, eigensolve
-from spectra_kit._sparse import CoarseSpace, ConstantKernel, IncompleteCholesky
+from spectra_kit import ConvergenceError, delaunay_laplacian, eigensolve
+from spectra_kit._sparse import CoarseSpace, ConstantKernel, IncompleteCholesky, pcg
 from spectra_kit.geometry import creature
 
 
@@ -25,6 +26,13 @@ class Body:
         dense = self.A.toarray()
         self.eigenvalues = np.linalg.eigvalsh(dense)
         self.root = np.linalg.cholesky(dense + np.ones(dense.shape) / self.n)
+
+
+def stopped(*given, **options):
+    """What conjugate gradients had found when they gave up."""
+    with pytest.raises(ConvergenceError) as error:
+        pcg(*given, **options)
+    return error.value.partial
 
 
 def path(n: int, ends: float = 1.0) -> sparse.csr_array:

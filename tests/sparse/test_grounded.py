@@ -22,41 +22,38 @@ def test_against_scipy_and_whichever_point_is_held():
     rhs = kernel.remove(RNG.standard_normal(n))
     truth = np.zeros(n)
     truth[:-1] = spsolve(sparse.csc_array(A[:-1][:, :-1]), rhs[:-1])  # the last one here
-    solution = GroundedCholesky(A, kernel).solution(rhs)
+    (solution,) = GroundedCholesky(A, kernel).solutions([rhs])
     np.testing.assert_allclose(solution.x, truth - truth.mean(), atol=1e-10 * abs(truth).max())
     assert (solution.converged, solution.iterations, solution.method) == (True, 0, "Cholesky")
     assert solution.relative_residual < 1e-11
     assert solution.setup_seconds > 0
     assert solution.times == [solution.seconds]
+    both = GroundedCholesky(A, kernel).solutions([2 * rhs, rhs])
+    np.testing.assert_array_equal(both[1].x, solution.x)
 
 
-def test_components_with_and_without_a_kernel():
-    A = sparse.csr_array(
-        sparse.block_diag([path(50, ends=2.0), path(60), sparse.csr_array((1, 1))])
-    )
-    kernel = ConstantKernel([-1] * 50 + [4] * 60 + [2])  # labels with gaps
-    assert kernel.dimension == 2
-    x = kernel.remove(RNG.standard_normal(111))
-    np.testing.assert_allclose(GroundedCholesky(A, kernel).solve(A @ x), x, atol=1e-10)
-    np.testing.assert_allclose(GroundedCholesky(path(50, ends=2.0)).solve((A @ x)[:50]), x[:50])
-    lone = GroundedCholesky(sparse.csr_array((2, 2)), ConstantKernel([0, 1]))
-    np.testing.assert_array_equal(lone.solve([0.0, 0.0]), [0.0, 0.0])
-    assert lone.solution([0.0, 0.0]).relative_residual == 0
+def test_several_components():
+    A = sparse.csr_array(sparse.block_diag([path(60), sparse.csr_array((1, 1))]))
+    kernel = ConstantKernel([4] * 60 + [2])  # labels with gaps
+    x = kernel.remove(RNG.standard_normal(61))
+    factor = GroundedCholesky(A, kernel)
+    none, found = factor.solutions([np.zeros(61), A @ x])
+    np.testing.assert_allclose(found.x, x, atol=1e-10)
+    np.testing.assert_array_equal(none.x, 0)
+    assert none.relative_residual == 0
 
 
 def test_what_is_refused():
-    solve = GroundedCholesky(path(9), ConstantKernel(np.zeros(9, int))).solve
-    refused("rhs", "sum to zero", solve, np.ones(9))
-    refused("rhs", "be finite", solve, np.full(9, np.nan))
-    # Definite, but a solution has no correct digit: the residual is that of its rounding.
+    solve = GroundedCholesky(path(9), ConstantKernel(np.zeros(9, int))).solutions
+    refused("rhs", "sum to zero", solve, [np.ones(9)])
+    refused("rhs", "be finite", solve, [np.full(9, np.nan)])
+    # Definite on the range, but a solution has no correct digit: its residual is that of rounding.
     hilbert = 1 / (1.0 + np.add.outer(np.arange(12), np.arange(12)))
-    for matrix, rhs, message in (
-        ([[1.0, 0.5], [0.0, 1.0]], [1, 1], "must be symmetric"),
-        ([[1.0, 2.0], [2.0, 1.0]], [1, 1], "must be symmetric positive definite"),
-        (hilbert, (-1.0) ** np.arange(12), "must be nonsingular apart"),
-    ):
-        with pytest.raises(InvalidInputError, match=message):
-            GroundedCholesky(sparse.csr_array(np.array(matrix))).solve(rhs)
+    flat = np.eye(12) - 1 / 12
+    wrong = sparse.csr_array(flat @ hilbert @ flat)
+    rhs = flat @ (-1.0) ** np.arange(12)
+    with pytest.raises(InvalidInputError, match="must be nonsingular apart"):
+        GroundedCholesky(wrong, ConstantKernel(np.zeros(12, int))).solutions([rhs])
 
 
 def test_what_it_advises_for_flat_triangles_helps():

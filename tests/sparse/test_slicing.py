@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 import pytest
-from conftest import refused
-from scipy import linalg, sparse
+from scipy import sparse
 
 import spectra_kit as sk
 from spectra_kit._sparse.block_lanczos import BlockLanczos
@@ -42,20 +39,6 @@ def test_the_spectrum_of_a_torus_copies_included(k: int, stretch: float) -> None
     U = found.eigenvectors
     assert np.abs(U.T @ (mass[:, None] * U) - np.eye(k)).max() < 1e-10
     assert np.abs(L @ U - mass[:, None] * U * found.eigenvalues).max() < 1e-9
-
-
-def test_more_copies_of_an_eigenvalue_than_a_block_has_vectors() -> None:
-    """The hypercube: eigenvalues 2 j, as many times as there are corners with j ones."""
-    L = sparse.csr_array(sparse.coo_array(np.zeros((1, 1))))
-    edge = sparse.csr_array([[1.0, -1.0], [-1.0, 1.0]])
-    for _ in range(11):
-        eye = sparse.eye_array(L.shape[0])
-        L = sparse.csr_array(sparse.kron(L, sparse.eye_array(2)) + sparse.kron(eye, edge))
-    copies = np.repeat(2.0 * np.arange(12), linalg.pascal(12, kind="lower")[-1].astype(int))
-    laplacian = sk.Laplacian(L, np.ones(2048), np.random.default_rng(0).random((2048, 3)))
-    spectrum = sk.eigensolve(laplacian, 60)
-    assert spectrum.eigenvalues == pytest.approx(copies[:60], abs=1e-8)
-    assert spectrum.certificate.n_verified == 60
 
 
 @pytest.mark.parametrize("weight", [1e-7, 0.1])
@@ -136,12 +119,6 @@ def test_where_two_runs_are_put_together() -> None:
     assert _cut(known[:3], np.array([3.0, 4.0]), 5, 1e-6) is None  # neither has
     assert _cut(known[:0], known, 4, 1.0) == 0
     assert _cut(known[:0], known[1:], 4, 0.0) is None
-
-
-@pytest.mark.parametrize("most", [10, 20, 24])
-def test_a_space_has_whole_steps_and_no_more_vectors_than_there_are(most: int) -> None:
-    of = partial(BlockLanczos, np.copy, 20, block=4, seed=0)
-    refused("most", "be a multiple of 4, and at most 16", of, most=most)
 
 
 def test_a_space_that_becomes_invariant_still_grows() -> None:

@@ -14,7 +14,7 @@ from spectra_kit._sparse.blocks import device_clock, device_memory
 from spectra_kit._sparse.torch_device import (
     csr_like,
     csr_product,
-    sparse_tensor,
+    csr_tensor,
     torch_threads,
 )
 
@@ -25,7 +25,7 @@ DEVICES = ["cpu"] + ["cuda"] * torch.cuda.is_available()
 def test_sparse_tensors_do_what_scipy_does(device):
     rng = np.random.default_rng(0)
     matrix = sparse.csr_array(sparse.random_array((50, 50), density=0.1, rng=rng))
-    tensor = sparse_tensor(matrix, device)
+    tensor = csr_tensor(matrix, device=device)
     np.testing.assert_array_equal(tensor.to_dense().cpu(), matrix.toarray())
     halved = csr_like(tensor, tensor.values() / 2)
     np.testing.assert_array_equal(halved.to_dense().cpu(), matrix.toarray() / 2)

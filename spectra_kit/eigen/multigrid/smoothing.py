@@ -120,11 +120,11 @@ def on_device(array: Any, device: str) -> Any:
         return array
     import torch
 
-    from spectra_kit._sparse.torch_device import sparse_tensor
+    from spectra_kit._sparse.torch_device import csr_tensor
 
     if isinstance(array, np.ndarray):
         return torch.tensor(array, device=device)
-    return array.to(device) if isinstance(array, torch.Tensor) else sparse_tensor(array, device)
+    return array.to(device) if isinstance(array, torch.Tensor) else csr_tensor(array, device=device)
 
 
 def smoothed(laplacian: Laplacian, values: Floats, vectors: Floats, *, degree: int = 6) -> Floats:
