@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -34,7 +33,7 @@ from spectra_kit.geometry import Geometry, TriangleMesh, largest_component
 from spectra_kit.maps.calibration import CONVINCING_PART
 from spectra_kit.maps.convert import induced
 from spectra_kit.maps.deform import Contact, contact
-from spectra_kit.maps.match import Search, matched, spectral_map
+from spectra_kit.maps.match import LastSteps, Search, matched, spectral_map
 from spectra_kit.maps.nearest import nearest
 from spectra_kit.maps.prepare import LOWEST_K, REFINED_K, Prepared, prepared, truncated
 from spectra_kit.maps.result import DEFAULT, Candidate, Match, MatchOptions
@@ -132,10 +131,13 @@ def match_part(
     sides = [side if isinstance(side, Prepared) else prepared(side) for side in (part, whole)]
     part, whole = (side.on_all_points() for side in sides)
     for name, side in (("part", part), ("whole", whole)):
-        _check_mesh(name, side)
+        if side.geometry is None or not side.geometry.is_mesh:
+            got = "a spectrum alone" if side.geometry is None else "a cloud"
+            advice = "pass the mesh to prepare"
+            raise InvalidInputError(name, "be prepared of a mesh", got, advice=advice)
     k = min(check_count("k", k, low=LOWEST_K), part.spectrum.k, whole.spectrum.k)
     if not len(part.surface.mesh.boundary_vertices):
-        usual = matched(*sides, mirrored=mirrored, k=k, options=options)
+        usual = matched(*sides, LastSteps(k), mirrored, options)
         return replace(usual, covered=np.ones(whole.spectrum.n, dtype=bool))
     ways = (False, True) if mirrored is None else (mirrored,)
     search = _PartSearch(part, whole, min(REFINED_K, k), options)
@@ -144,10 +146,10 @@ def match_part(
         found = [search.ends([t for t in trials if t.candidate.mirrored == way]) for way in ways]
         if len(found) == 2 and found[1][0].value * _MIRRORED_BY < found[0][0].value:
             found.reverse()
-        best, *others = found[0]
-        chosen = best.trial
+        chosen, *others = found[0]
         side, bent = search.finished(chosen, k)
-        rivals = [end.value for end in others if search.apart(end.trial, chosen) > _ELSEWHERE]
+        rivals = [other.value for other in others if search.apart(other, chosen) > _ELSEWHERE]
+    candidates = [trial.candidate for trial in trials]
     covered = covered_by(part, whole, bent)
     around = bent.back[chosen.piece.vertices]
     made = Match(
@@ -155,12 +157,12 @@ def match_part(
         functional_map=_extended(part.spectrum, whole.spectrum, bent.back, covered, k),
         mirrored=chosen.candidate.mirrored,
         orientation=orientation_of(part, side, induced(part.spectrum, side.spectrum, around, k, k)),
-        margin=min(rivals) / best.value if rivals else float("inf"),
-        mirror_margin=found[1][0].value / best.value if len(found) == 2 else float("inf"),
+        margin=min(rivals) / chosen.value if rivals else float("inf"),
+        mirror_margin=found[1][0].value / chosen.value if len(found) == 2 else float("inf"),
         consistent=1.0,
-        coverage=coverage_over_chance(part.spectrum, side.spectrum, around),
+        coverage=coverage_over_chance(part.spectrum.mass, side.spectrum.mass, around),
         discontinuity=discontinuity(part.surface, side.surface, around),
-        candidates=(chosen.candidate, *(t.candidate for t in trials if t is not chosen)),
+        candidates=(chosen.candidate, *(c for c in candidates if c is not chosen.candidate)),
         covered=covered,
         convincing_score=CONVINCING_PART,
         rims=(topology_of(part.surface).rim, topology_of(whole.surface).rim),
@@ -184,20 +186,19 @@ class _Trial:
     piece: Region
     side: Prepared  # the region
     candidate: Candidate
+    began: float | None = None  # the score of the trial that led here
 
     @property
     def score(self) -> float:
         return self.candidate.score
 
+    @property
+    def value(self) -> float:
+        """The score, or the geometric mean of those here and where it began.
 
-class _End(NamedTuple):
-    """Where a trial led, and the geometric mean of the scores there and where it began.
-
-    Wrong regions grow alike to right ones as they move, so where each began counts as well.
-    """
-
-    trial: _Trial
-    value: float
+        Wrong regions grow alike to right ones as they move.
+        """
+        return self.score if self.began is None else float(np.sqrt(self.score * self.began))
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,17 +221,15 @@ class _PartSearch:
                 found += [_Trial(piece, side, candidate) for candidate in candidates]
         return sorted(found, key=lambda trial: trial.score)
 
-    def ends(self, trials: Sequence[_Trial]) -> list[_End]:
+    def ends(self, trials: Sequence[_Trial]) -> list[_Trial]:
         """Return where trials lead, the best first; those far behind stay where they are."""
-        ends = [self.followed(trial) for trial in trials[:_REFINED]]
-        values = [np.sqrt(e.score * t.score) for e, t in zip(ends, trials, strict=False)]
-        behind = [_End(trial, trial.score) for trial in trials[_REFINED:]]
-        return sorted((*map(_End, ends, map(float, values)), *behind), key=lambda end: end.value)
+        ends = [replace(self.followed(trial), began=trial.score) for trial in trials[:_REFINED]]
+        return sorted((*ends, *trials[_REFINED:]), key=lambda end: end.value)
 
     def followed(self, trial: _Trial) -> _Trial:
         """Return the trial that its border leads to, as long as each is better than the last."""
         for _ in range(_ROUNDS):
-            bent = self._bent(trial)
+            bent = self._bent(trial.candidate.functional_map, trial, trial.side, self.low)
             piece = region(self.whole, covered_by(self.part, self.whole, bent))
             if piece is None or len(piece.vertices) < LEAST_POINTS:
                 break
@@ -247,7 +246,7 @@ class _PartSearch:
         few = self.part.spectrum.eigenvectors[:, : self.low] @ trial.candidate.functional_map.T
         there = nearest(trial.side.spectrum.eigenvectors, few)
         start = induced(self.part.spectrum, side.spectrum, there, self.low, self.low)
-        return side, self._bent_by(start, trial, side, k)
+        return side, self._bent(start, trial, side, k)
 
     def apart(self, one: _Trial, other: _Trial) -> float:
         """Return how far the images of a point of the part are apart, on average."""
@@ -267,7 +266,7 @@ class _PartSearch:
         k = min(_KEPT, self.low)
         start = induced(few.spectrum, side.spectrum, around, k, k)
         C = spectral_map(few, side, start, self.low)[0].functional_map
-        return _Trial(piece, side, scored(few, side, C, mirrored=mirrored))
+        return _Trial(piece, side, scored(few, side, C, mirrored))
 
     def _loose(self, area: float) -> Surface:
         """Return the part at an area, without mass near its border: nothing pulls it there.
@@ -275,18 +274,13 @@ class _PartSearch:
         The maps to a region end at the border of the region, right or wrong; the border of a bent
         part shall be where the rest of it says.
         """
-        surface = self.part.surface
-        mesh = self.part.surface.mesh
-        depth = dijkstra(
-            graph_of(mesh), directed=False, indices=mesh.boundary_vertices, min_only=True
-        )
+        surface, mesh = self.part.surface, self.part.surface.mesh
+        border = mesh.boundary_vertices
+        depth = dijkstra(graph_of(mesh), directed=False, indices=border, min_only=True)
         held = depth >= min(_LOOSE, np.median(depth))
         return replace(surface, points=surface.points * area**0.5, mass=surface.mass * area * held)
 
-    def _bent(self, trial: _Trial) -> Contact:
-        return self._bent_by(trial.candidate.functional_map, trial, trial.side, self.low)
-
-    def _bent_by(self, start: Floats, trial: _Trial, side: Prepared, k: int) -> Contact:
+    def _bent(self, start: Floats, trial: _Trial, side: Prepared, k: int) -> Contact:
         """Bend the part onto the whole, at the size of the region, from a map to the region."""
         way_there = spectral_map(self.part, side, start, k)[1]
         return contact(
@@ -337,19 +331,7 @@ def _links(graph: sparse.csr_array) -> sparse.csr_array:
 def _extended(a: Spectrum, b: Spectrum, point_map: Ints, covered: Bools, k: int) -> Floats:
     """Return the functional map of functions that are 0 where nothing is covered, (k, k)."""
     rows = b.eigenvectors[covered, :k] * b.mass[covered, None]
-    out: Floats = rows.T @ a.eigenvectors[point_map[covered], :k]
-    return out
-
-
-def _check_mesh(name: str, side: Prepared) -> None:
-    surface = side.geometry
-    if surface is None or not surface.is_mesh:
-        raise InvalidInputError(
-            name,
-            "be prepared of a mesh",
-            "a spectrum alone" if surface is None else "a cloud",
-            advice="pass the mesh to prepare",
-        )
+    return np.asarray(rows.T @ a.eigenvectors[point_map[covered], :k])
 
 
 # --- regions -------------------------------------------------------------------------------------
