@@ -138,12 +138,11 @@ class Collection(Rebuilt):
         return matched_from(*ends, [found], last, self.options)
 
     def _place(self, end: str, name: str) -> int:
-        names = list(self.shapes)
-        if name not in names:
+        if name not in self.shapes:
             raise InvalidInputError(
                 end, "be the name of a surface of the collection", repr(name), advice="see `shapes`"
             )
-        return names.index(name)
+        return list(self.shapes).index(name)
 
     def __repr__(self) -> str:
         told = f"{len(self.shapes)} surfaces, {len(self.pairs)} pairs matched"
@@ -200,18 +199,8 @@ def match_collection(
     *Functional map networks for analyzing and exploring large shape collections*, SIGGRAPH 2014,
     and Huang, Ren, Wonka, Ovsjanikov, *Consistent ZoomOut*, SGP 2020.
 
-    The number of pairs matched, time and memory are linear in the number of surfaces.
-
-    Examples
-    --------
-    >>> import spectra_kit as sk
-    >>> poses = {f"pose {i}": sk.geometry.creature(600, pose=i) for i in (1, 2, 3)}
-    >>> shapes = {name: sk.prepare(sk.spectrum(mesh, 60), mesh) for name, mesh in poses.items()}
-    >>> found = sk.maps.match_collection(shapes)
-    >>> found
-    Collection(3 surfaces, 3 pairs matched)
-    >>> found.pair("pose 1", "pose 3").point_map.shape
-    (600,)
+    The number of pairs matched, time and memory are linear in the number of surfaces. The guide
+    (docs/matching.md) has an example.
     """
     names, many = list(shapes), _checked(shapes, mirrored)
     check_count("neighbours", neighbours, low=1)

@@ -20,7 +20,7 @@ from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.maps.convert import Correspondence
 from spectra_kit.maps.nearest import nearest_within
 from spectra_kit.maps.prepare import CURVATURE_SCALE, Prepared, curvatures
-from spectra_kit.maps.subsample import neighbours
+from spectra_kit.maps.subsample import around
 from spectra_kit.maps.surface import Surface, outward_normals
 from spectra_kit.operators.oriented import OrientedTriangles
 
@@ -161,15 +161,12 @@ def by_modes(
         return found.point_map, here, there
     s1, s2 = source.spectrum.n, target.spectrum.n
     went = sparse.csr_array((np.ones(s2), (np.arange(s2), found.point_map)), shape=(s2, s1))
-    ways = sparse.csr_array(_around(target) @ went @ _around(source))
+    near1, near2 = (
+        around(side.surface.oriented.faces, side.spectrum.n) for side in (source, target)
+    )
+    ways = sparse.csr_array(near2 @ went @ near1)
     point_map = nearest_within(ways, (here, source.closest), (there, target.closest))
     return point_map, here, there
-
-
-def _around(side: Prepared) -> sparse.csr_array:
-    """Return which of the points that a surface is matched on are neighbours, or the same."""
-    n = side.spectrum.n
-    return sparse.csr_array(neighbours(side.surface.oriented.faces, n) + sparse.eye_array(n))
 
 
 def _bending(

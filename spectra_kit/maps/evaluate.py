@@ -1,7 +1,6 @@
 """Quality of a point map: errors where the truth is known, and what tells without it.
 
-Errors are geodesic, direct and symmetric. Coverage, smoothness, orientation and a way back need no
-truth.
+Errors are geodesic. Coverage, smoothness, orientation and a way back need no truth.
 """
 
 from __future__ import annotations
@@ -181,10 +180,10 @@ def map_errors(
 
     Examples
     --------
-    >>> from spectra_kit.maps import Truth, map_errors
-    >>> from spectra_kit.geometry import sphere
-    >>> mesh = sphere(subdivisions=2).geometry
-    >>> float(map_errors(mesh, range(mesh.n), Truth.of_map(range(mesh.n))).direct.max())
+    >>> import spectra_kit as sk
+    >>> mesh = sk.geometry.sphere(subdivisions=2).geometry
+    >>> truth = sk.maps.Truth.of_map(range(mesh.n))
+    >>> float(sk.maps.map_errors(mesh, range(mesh.n), truth).direct.max())
     0.0
     """
     p = check_point_map("point_map", point_map, mesh.n)
@@ -209,13 +208,12 @@ def geodesic_errors(
     Parameters
     ----------
     mesh, point_map, truth, method
-        As of `map_errors`.
+        As of `map_errors`, which pictures want: it knows the points.
 
     Returns
     -------
     ndarray of shape (c,)
-        The direct errors of `map_errors`, in hundredths of the root of the source's area, and in
-        the order of the truth; pictures want `map_errors` itself, which knows the points.
+        The direct errors.
 
     Examples
     --------
@@ -487,8 +485,8 @@ def orientation(
     images = p[check_faces("target_faces", target_faces, len(p))]
     normals = np.zeros_like(points)
     cross = _crosses(points, faces)
-    for corner in range(3):
-        np.add.at(normals, faces[:, corner], cross)
+    for corner in faces.T:
+        np.add.at(normals, corner, cross)
     normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(np.float64).tiny)[:, None]
     mapped = _crosses(points, images)
     # One flat triangle sees three normals: where these disagree it lies across a sharp edge.

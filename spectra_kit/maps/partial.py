@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from spectra_kit._core.checked import checked
@@ -38,6 +37,7 @@ from spectra_kit.maps.nearest import nearest
 from spectra_kit.maps.prepare import LOWEST_K, REFINED_K, Prepared, prepared, truncated
 from spectra_kit.maps.result import DEFAULT, Candidate, Match, MatchOptions
 from spectra_kit.maps.score import coverage_over_chance, orientation_of, scored
+from spectra_kit.maps.subsample import neighbours
 from spectra_kit.maps.surface import Surface, discontinuity, topology_of
 from spectra_kit.operators import cotan_laplacian
 
@@ -112,21 +112,7 @@ def match_part(
     were wholes. Of the best, the part is bent onto the whole, as in `match`, where its border shows
     how far the region reaches; that region is matched anew, and the one with the best score is the
     answer. A part whose border cuts through the middle of a whole without limbs is out of reach.
-
-    Examples
-    --------
-    An animal without its head and neck:
-
-    >>> import numpy as np
-    >>> import spectra_kit as sk
-    >>> animal = sk.geometry.creature(700)
-    >>> left = animal.points[:, 0] < 0.6
-    >>> cut = sk.TriangleMesh(animal.points, animal.faces[left[animal.faces].all(axis=1)])
-    >>> rest = sk.geometry.largest_component(cut)
-    >>> part, whole = (sk.prepare(sk.spectrum(m, 60), m) for m in (rest.mesh, animal))
-    >>> found = sk.maps.match_part(part, whole, mirrored=False)
-    >>> print((found.covered == left).mean())
-    0.9...
+    The guide (docs/matching.md) matches an animal without its head with a whole one.
     """
     sides = [side if isinstance(side, Prepared) else prepared(side) for side in (part, whole)]
     part, whole = (side.on_all_points() for side in sides)
@@ -168,15 +154,19 @@ def match_part(
         rims=(topology_of(part.surface).rim, topology_of(whole.surface).rim),
     )
     if not made.convincing:
-        open_ = "the whole is cut off, too; " * ("rims" in made.doubts)
-        warn(
-            f"no convincing part: {open_}its mismatch is {made.score:.2f} (right parts:"
-            f" below {CONVINCING_PART:g}), and it covers {made.coverage:.2f} times as much as"
-            " chance would",
-            DoubtfulMatchWarning,
-            advice="it may be no part of this surface; look at `covered`",
-        )
+        _warn_of(made)
     return made
+
+
+def _warn_of(made: Match) -> None:
+    open_ = "the whole is cut off, too; " * ("rims" in made.doubts)
+    warn(
+        f"no convincing part: {open_}its mismatch is {made.score:.2f} (right parts:"
+        f" below {CONVINCING_PART:g}), and it covers {made.coverage:.2f} times as much as"
+        " chance would",
+        DoubtfulMatchWarning,
+        advice="it may be no part of this surface; look at `covered`",
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,7 +291,7 @@ def covered_by(part: Prepared, whole: Prepared, bent: Contact) -> Bools:
     itself hardly touches.
     """
     mesh, points = part.surface.mesh, whole.surface.points
-    steps = _links(graph_of(mesh))
+    steps = neighbours(mesh.faces, mesh.n)
     middle = (steps @ bent.points) / (steps @ np.ones(mesh.n))[:, None]
     border = np.isin(np.arange(mesh.n), mesh.boundary_vertices)
     there = bent.points[bent.back]
@@ -309,7 +299,7 @@ def covered_by(part: Prepared, whole: Prepared, bent: Contact) -> Bools:
     step = ((points - there - 0.5 * outwards) * outwards).sum(axis=1)
     beyond = border[bent.back] & (step > 0)
     near = np.flatnonzero(~beyond & (np.linalg.norm(points - there, axis=1) < _REACH))
-    links = _links(graph_of(whole.surface.mesh))
+    links = neighbours(whole.surface.mesh.faces, len(points))
     _, piece = connected_components(links[near][:, near], directed=False)
     touched = np.zeros(len(points))
     touched[bent.there] = 1.0
@@ -319,13 +309,6 @@ def covered_by(part: Prepared, whole: Prepared, bent: Contact) -> Bools:
     covered = np.zeros(len(points), dtype=bool)
     covered[near] = share[piece] > 0.5
     return covered
-
-
-def _links(graph: sparse.csr_array) -> sparse.csr_array:
-    """Return the graph with 1 for each edge."""
-    out = graph.copy()
-    out.data[:] = 1.0
-    return out
 
 
 def _extended(a: Spectrum, b: Spectrum, point_map: Ints, covered: Bools, k: int) -> Floats:

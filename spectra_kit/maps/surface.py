@@ -19,6 +19,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit.eigen import Spectrum
+from spectra_kit.geodesics.edges import graph_of
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.operators.oriented import OrientedTriangles
 
@@ -64,10 +65,7 @@ class Surface(Rebuilt):
 
         What no way leads to, as single points of a cloud, counts as the farthest.
         """
-        edges, n = self.edges, len(self.points)
-        weights = lengths_of(self.points, edges)
-        graph = sparse.csr_array((weights, (edges[:, 0], edges[:, 1])), shape=(n, n))
-        ways = dijkstra(graph, directed=False, indices=points)
+        ways = dijkstra(graph_of(self.mesh), directed=False, indices=points)
         return np.minimum(ways, ways[np.isfinite(ways)].max())
 
     @cached_property

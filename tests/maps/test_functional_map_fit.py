@@ -220,7 +220,6 @@ def test_what_cannot_be_fitted_is_refused(animal, bent, symmetric) -> None:
         ("source_descriptors` and `target_descriptors", "have the same number of columns",
          {"target_descriptors": g[:, 1:]}),
         ("k of the source", "be in [1, 40]", {"k": 41}),
-        ("mask", "be 'resolvent' or 'standard'", {"mask": "soft"}),
         ("oriented", "be given where", {"weights": turned}),
         ("oriented", "be on the 500 and 500 points", {"weights": turned, "oriented": pair}),
         ("landmarks", "be two lists of one length, at least 1", {"landmarks": ([], [])}),
