@@ -48,7 +48,7 @@ def thin(geometry: Geometry, k: int = K) -> Prepared:
 
 @pytest.fixture(scope="module")
 def coarse() -> TriangleMesh:
-    return creature(700)
+    return creature(1000)
 
 
 @pytest.fixture(scope="module")
