@@ -17,6 +17,8 @@ from spectra_kit.features._spectra import Solvable, check_sources, outside_kerne
 def diffusion_distances(surface: Solvable, sources: ArrayLike, *, time: float) -> Floats:
     """Difference of the heat that spreads from two points, a time after.
 
+    Coifman and Lafon, *Diffusion Maps*, Applied and Computational Harmonic Analysis 21(1), 2006.
+
     Parameters
     ----------
     surface, sources
@@ -34,11 +36,6 @@ def diffusion_distances(surface: Solvable, sources: ArrayLike, *, time: float) -
     -----
     The diffusion is the heat kernel. Averaged over all pairs of points, k modes leave about
     ``exp(-2 lambda_k t) / (4 pi t)`` out of the square (Weyl's law).
-
-    References
-    ----------
-    R. R. Coifman, S. Lafon, "Diffusion maps", Applied and Computational Harmonic Analysis 21(1),
-    2006.
 
     Examples
     --------
@@ -59,9 +56,12 @@ def diffusion_distances(surface: Solvable, sources: ArrayLike, *, time: float) -
 def biharmonic_distances(surface: Solvable, sources: ArrayLike) -> Floats:
     """Biharmonic distances: smooth, without a parameter, and local as well as global.
 
+    Lipman, Rustamov and Funkhouser, *Biharmonic Distance*, ACM Transactions on Graphics 29(3),
+    2010.
+
     Parameters
     ----------
-    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
+    surface
         As of `heat_kernel_signature`; zero modes tell the components apart.
     sources : array_like of shape (s,)
         Indices of points.
@@ -77,11 +77,6 @@ def biharmonic_distances(surface: Solvable, sources: ArrayLike) -> Floats:
     The sum grows with k and converges: averaged over all pairs of points, k modes leave about
     ``1 / (2 pi lambda_k)``, or ``area / (8 pi^2 k)``, out of the square (Weyl's law; exact on the
     sphere, where the whole is radius^2 / (2 pi)).
-
-    References
-    ----------
-    Y. Lipman, R. M. Rustamov, T. A. Funkhouser, "Biharmonic distance", ACM Transactions on
-    Graphics 29(3), 2010.
 
     Examples
     --------
@@ -123,13 +118,9 @@ def commute_time_distances(surface: Solvable, sources: ArrayLike) -> Floats:
     for finer meshes or more modes: two points of a surface never meet, and the square grows by
     about ``area / (2 pi) log k``. Compare values of one k only; `biharmonic_distances` converge.
 
-    References
-    ----------
-    H. Qiu, E. R. Hancock, "Clustering and embedding using commute times", IEEE Transactions on
-    Pattern Analysis and Machine Intelligence 29(11), 2007.
-
-    F. Fouss, A. Pirotte, J.-M. Renders, M. Saerens, "Random-walk computation of similarities
-    between nodes of a graph", IEEE Transactions on Knowledge and Data Engineering 19(3), 2007.
+    See Qiu and Hancock, *Clustering and Embedding Using Commute Times*, PAMI 29(11), 2007, and
+    Fouss et al., *Random-Walk Computation of Similarities between Nodes of a Graph*, TKDE 19(3),
+    2007.
 
     Examples
     --------
@@ -157,7 +148,7 @@ def farthest_points(surface: Solvable, count: int, *, start: int | None = None) 
 
     Parameters
     ----------
-    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
+    surface
         As of `heat_kernel_signature`; by its zero modes every component gets a point before any
         gets two.
     count : int
@@ -175,12 +166,8 @@ def farthest_points(surface: Solvable, count: int, *, start: int | None = None) 
     Notes
     -----
     Farthest point sampling in `biharmonic_distances`; O(n k) per point. The points are within twice
-    the best possible covering radius in that distance.
-
-    References
-    ----------
-    T. F. Gonzalez, "Clustering to minimize the maximum intercluster distance", Theoretical
-    Computer Science 38, 1985.
+    the best possible covering radius in that distance (Gonzalez, *Clustering to Minimize the
+    Maximum Intercluster Distance*, Theoretical Computer Science 38, 1985).
 
     Examples
     --------

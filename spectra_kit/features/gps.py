@@ -18,9 +18,12 @@ from spectra_kit.features.embedding import Pooled, Surface
 def global_point_signature(surface: Solvable, count: int | None = None) -> Floats:
     """Each point as its values in the first modes, over the roots of their eigenvalues (GPS).
 
+    Rustamov, *Laplace-Beltrami Eigenfunctions for Deformation Invariant Shape Representation*, SGP
+    2007.
+
     Parameters
     ----------
-    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
+    surface
         As of `wave_kernel_signature`.
     count : int, optional
         Number of modes; by default all outside the kernel.
@@ -36,11 +39,6 @@ def global_point_signature(surface: Solvable, count: int | None = None) -> Float
     -----
     Inner products of rows are Green's function of the Laplacian, which on a surface has no finite
     value on the diagonal: norms grow as the root of log k.
-
-    References
-    ----------
-    R. M. Rustamov, "Laplace-Beltrami eigenfunctions for deformation invariant shape
-    representation", Symposium on Geometry Processing, 2007.
 
     Examples
     --------

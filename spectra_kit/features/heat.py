@@ -50,9 +50,8 @@ def heat_times(surface: Solvable, count: int = 16) -> Floats:
 
     Notes
     -----
-    The interval of Sun et al. (2009, see `heat_kernel_signature`): the shortest time damps the last
-    mode to 1e-4, so that truncation does not show; at the longest, so is every mode but the
-    constants.
+    The interval of Sun et al. (see `heat_kernel_signature`): the shortest time damps the last mode
+    to 1e-4, so that truncation does not show; at the longest, so is every mode but the constants.
 
     Examples
     --------
@@ -71,7 +70,7 @@ def heat_kernel(surface: Solvable, sources: ArrayLike, times: ArrayLike) -> Floa
 
     Parameters
     ----------
-    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
+    surface
         As of `heat_kernel_signature`; zero modes take part.
     sources : array_like of shape (s,)
         Indices of points.
@@ -116,6 +115,9 @@ def heat_kernel_signature(
 ) -> Floats:
     """Heat that stays where it was put, for each point: the heat kernel signature (HKS).
 
+    Sun, Ovsjanikov and Guibas, *A Concise and Provably Informative Multi-Scale Signature Based on
+    Heat Diffusion*, SGP 2009.
+
     Parameters
     ----------
     surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
@@ -145,11 +147,6 @@ def heat_kernel_signature(
         signature at the default times by s^2. About 1/(4 pi t) for short times. From landmarks
         ``sum_i exp(-lambda_i t) u_i(landmark) u_i(x)``: all times of the first, then of the second.
 
-    References
-    ----------
-    J. Sun, M. Ovsjanikov, L. Guibas, "A concise and provably informative multi-scale signature
-    based on heat diffusion", Computer Graphics Forum 28(5), 2009.
-
     Examples
     --------
     On the unit sphere all points are alike, and all heat is spread over 4 pi in the end:
@@ -166,7 +163,7 @@ def heat_kernel_signature(
     if landmarks is not None:
         return seen_from_landmarks(spectrum, landmarks, weights, logarithm)
     signature = squares(spectrum, weights)
-    return _logarithms(signature, spectrum.area) if logarithm else signature
+    return np.log(signature * spectrum.area) if logarithm else signature
 
 
 @checked
@@ -198,7 +195,7 @@ class HeatKernelSignature(Isometric, Pooled):
         """Return (n, count), zero where all heat has spread evenly."""
         spectrum = surface.spectrum
         times = np.geomspace(DAMPED / weyl(surface.k), _LONGEST, self.count)
-        return _logarithms(squares(spectrum, _weights(spectrum, times)), area=1.0)
+        return np.log(squares(spectrum, _weights(spectrum, times)))
 
 
 def _times(spectrum: Spectrum, count: int) -> Floats:
@@ -219,7 +216,3 @@ def _weights(
     times = _times(spectrum, count) if times is None else _check_times(times)
     exponents = -np.outer(times, spectrum.eigenvalues)
     return shares(exponents) if scaled else np.asarray(np.exp(exponents))
-
-
-def _logarithms(signature: Floats, area: float) -> Floats:
-    return np.asarray(np.log(signature * area))

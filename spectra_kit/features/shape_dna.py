@@ -27,13 +27,15 @@ def shape_dna(
 ) -> Floats:
     """The eigenvalues outside the kernel as a descriptor of the whole surface (ShapeDNA).
 
-    Isometric surfaces have equal ShapeDNA; a few surfaces that are not isometric share it too.
+    Isometric surfaces have equal ShapeDNA; a few surfaces that are not isometric share it too
+    (Reuter, Wolter and Peinecke, *Laplace-Beltrami Spectra as 'Shape-DNA' of Surfaces and Solids*,
+    Computer-Aided Design 38(4), 2006).
 
     Parameters
     ----------
-    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
-        A spectrum of k modes; of anything else the 96 lowest modes are computed, by the default
-        operator and solver. Zero modes are left out, and with them the number of components.
+    surface
+        As of `heat_kernel_signature`; zero modes are left out, and with them the number of
+        components.
     count : int, optional
         Number of eigenvalues; by default all outside the kernel.
     normalize : {"area", "weyl", "first"} or None, default "area"
@@ -50,11 +52,6 @@ def shape_dna(
     ndarray of shape (count,)
         Ascending, dimensionless unless `normalize` is None; about ``4 pi i`` for "area" and
         "weyl".
-
-    References
-    ----------
-    M. Reuter, F.-E. Wolter, N. Peinecke, "Laplace-Beltrami spectra as 'Shape-DNA' of surfaces and
-    solids", Computer-Aided Design 38(4), 2006.
 
     Examples
     --------
@@ -104,17 +101,9 @@ def shape_dna_distances(dnas: ArrayLike, *, weight: Weighting | None = "index") 
 
     Notes
     -----
-    "index" is the reweighting that later work on ShapeDNA settled on (Wachinger et al. 2015), and
-    "inverse" the weighted spectral distance (Konukoglu et al. 2013, p = 2).
-
-    References
-    ----------
-    E. Konukoglu, B. Glocker, A. Criminisi, K. M. Pohl, "WESD - weighted spectral distance for
-    measuring shape dissimilarity", IEEE Transactions on Pattern Analysis and Machine Intelligence
-    35(9), 2013.
-
-    C. Wachinger, P. Golland, W. Kremen, B. Fischl, M. Reuter, "BrainPrint: a discriminative
-    characterization of brain morphology", NeuroImage 109, 2015.
+    "index" is the reweighting that later work on ShapeDNA settled on (Wachinger et al.,
+    *BrainPrint*, NeuroImage 109, 2015), and "inverse" the weighted spectral distance with p = 2
+    (Konukoglu et al., *WESD*, PAMI 35(9), 2013).
 
     Examples
     --------

@@ -149,17 +149,15 @@ class Coordinates(_OfSpace):
 class PositionalEncoding(_OfSpace):
     """Coordinates, and their sines and cosines at frequencies that double.
 
+    Mildenhall et al., *NeRF: Representing Scenes as Neural Radiance Fields for View Synthesis*,
+    ECCV 2020.
+
     Parameters
     ----------
     levels : int, default 10
         Frequencies: half a wave in the unit box, and each twice the one before.
     frame : {"given", "principal"}, default "given"
         As of `Coordinates`.
-
-    References
-    ----------
-    B. Mildenhall et al., "NeRF: representing scenes as neural radiance fields for view synthesis",
-    ECCV, 2020.
 
     Examples
     --------

@@ -56,9 +56,9 @@ def wave_energies(
 
     Notes
     -----
-    For 100 energies, the choice of Aubry et al. (2011, see `wave_kernel_signature`): seven steps
-    wide, two widths away from either end. Here the width does not depend on the number of energies,
-    which only decides how finely the bands are sampled.
+    For 100 energies, the choice of Aubry et al. (see `wave_kernel_signature`): seven steps wide,
+    two widths away from either end. Here the width does not depend on the number of energies, which
+    only decides how finely the bands are sampled.
 
     Examples
     --------
@@ -83,11 +83,13 @@ def wave_kernel_signature(
 ) -> Floats:
     """Probability of finding a quantum particle of some energy at each point (WKS).
 
+    Aubry, Schlickewei and Cremers, *The Wave Kernel Signature: A Quantum Mechanical Approach to
+    Shape Analysis*, ICCV Workshops 2011.
+
     Parameters
     ----------
-    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
-        A spectrum of k modes; of anything else the 96 lowest modes are computed, by the default
-        operator and solver. Zero modes, whose logarithm is no energy, are left out.
+    surface
+        As of `heat_kernel_signature`; zero modes, whose logarithm is no energy, are left out.
     energies : array_like of shape (e,), optional
         Logarithms of eigenvalues in the unit of `surface`; by default those of
         ``wave_energies(surface, count, width=width)``. One far outside the spectrum shows the
@@ -111,11 +113,6 @@ def wave_kernel_signature(
         width^2))``, in 1/length^2; each column has the integral 1 over the surface. Multiplying
         lengths by s divides the signature at the default energies by s^2. From landmarks ``sum_i
         w_i u_i(landmark) u_i(x) / sum_i w_i``: all energies of the first, then of the second.
-
-    References
-    ----------
-    M. Aubry, U. Schlickewei, D. Cremers, "The wave kernel signature: a quantum mechanical approach
-    to shape analysis", ICCV Workshops, 2011.
 
     Examples
     --------
@@ -184,25 +181,20 @@ class WaveKernelSignature(Isometric, Pooled):
 
 def _energies(spectrum: Spectrum, count: int, width: float | None) -> tuple[Floats, float]:
     check_count("count", count, low=2)
-    low, high = _range(spectrum)
-    width = _WIDTH * (high - low) if width is None else check_positive("width", width)
+    low, high, default = _range(spectrum)
+    width = default if width is None else check_positive("width", width)
     if 4 * width >= high - low:
         raise InvalidInputError(
             "width",
             f"be below a quarter of the range {high - low:.3g} of log eigenvalues",
             f"{width:.3g}",
-            advice=f"the default is {_WIDTH * (high - low):.3g}",
+            advice=f"the default is {default:.3g}",
         )
     return np.linspace(low + 2 * width, high - 2 * width, count), width
 
 
-def _default_width(spectrum: Spectrum) -> float:
-    low, high = _range(spectrum)
-    return _WIDTH * (high - low)
-
-
-def _range(spectrum: Spectrum) -> tuple[float, float]:
-    """Return the logarithms of the first and last eigenvalue outside the kernel."""
+def _range(spectrum: Spectrum) -> tuple[float, float, float]:
+    """Return the logarithms of the first and last eigenvalue outside the kernel, and a width."""
     values = outside_kernel(spectrum).eigenvalues
     if values[0] == values[-1]:
         raise InvalidInputError(
@@ -211,18 +203,8 @@ def _range(spectrum: Spectrum) -> tuple[float, float]:
             f"{len(values)} times {values[0]:.3g}",
             advice="compute more modes, or give `width`",
         )
-    return float(np.log(values[0])), float(np.log(values[-1]))
-
-
-def _check_energies(values: ArrayLike) -> Floats:
-    if isinstance(values, tuple) and len(values) == 2 and np.ndim(values[0]) > np.ndim(values[1]):
-        raise InvalidInputError(
-            "energies",
-            "be a vector",
-            "a tuple of two as `wave_energies` returns it",
-            advice="write `energies, width = wave_energies(spectrum)` and pass both",
-        )
-    return check_grid("energies", values)
+    low, high = float(np.log(values[0])), float(np.log(values[-1]))
+    return low, high, _WIDTH * (high - low)
 
 
 def _bands(
@@ -235,8 +217,15 @@ def _bands(
     if energies is None:
         grid, width = _energies(spectrum, count, width)
     else:
-        grid = _check_energies(energies)
-        width = _default_width(spectrum) if width is None else check_positive("width", width)
+        if isinstance(energies, tuple) and list(map(np.ndim, energies)) == [1, 0]:
+            raise InvalidInputError(
+                "energies",
+                "be a vector",
+                "a tuple of two as `wave_energies` returns it",
+                advice="write `energies, width = wave_energies(spectrum)` and pass both",
+            )
+        grid = check_grid("energies", energies)
+        width = _range(spectrum)[2] if width is None else check_positive("width", width)
     modes = outside_kernel(spectrum)
     away = (grid[:, None] - np.log(modes.eigenvalues)) / width
     return modes, shares(-0.5 * away**2)

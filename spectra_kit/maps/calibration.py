@@ -125,5 +125,4 @@ def confidence_at(whole: float, wave: Floats, curvature: Floats, stretch: Floats
     seen = np.column_stack([wave, curvature, stretch])
     logit = _POINT_INTERCEPT + _POINT["whole"] * odds
     logit = logit + np.log(seen + _LEAST) @ weights
-    out: Floats = 1 / (1 + np.exp(-logit))
-    return out
+    return np.asarray(1 / (1 + np.exp(-logit)))

@@ -37,7 +37,7 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit.eigen import Spectrum
 from spectra_kit.maps.nearest import nearest_each_way
 from spectra_kit.maps.prepare import LOWEST_K, REFINED_K, Prepared, curvatures
-from spectra_kit.maps.surface import outward_normals
+from spectra_kit.maps.surface import outward_normals, unit_rows
 
 _CURVATURES = 3  # of the smoothed ones, from the finest
 _KEPT = {8: 48, 11: 16}  # from so many modes on, how many go on growing
@@ -50,13 +50,8 @@ _FORM_SHARE = 0.5  # squared length of the area forms, relative to that of the m
 _CURVATURE_SHARE = 0.1  # the same for curvature
 
 SAMPLES = 400  # on which the source is laid onto the target and bent
-_RIGID = (
-    6,
-    9,
-    14,
-    20,
-    LOWEST_K,
-)  # modes to which surfaces are smoothed as one is laid on the other
+# Modes to which surfaces are smoothed as one is laid on the other.
+_RIGID = (6, 9, 14, 20, LOWEST_K)
 _BENT_STEPS = 4  # from these modes to the refined ones
 _BENDING_MODES = 20  # in which the source is bent
 _STIFFNESS = 0.3  # of the last of these modes, relative to the pull of the points
@@ -71,9 +66,9 @@ def sign_candidates(
     source: Prepared,
     target: Prepared,
     *,
-    mirrored: bool = False,
-    orders: int = 32,
-    growing: int = 96,
+    mirrored: bool,
+    orders: int,
+    growing: int,
 ) -> Floats:
     """Return functional maps, (16, 30, 30), grown from all signs and likely orders of low modes.
 
@@ -113,26 +108,23 @@ def _starts(a: Spectrum, b: Spectrum, count: int) -> Floats:
     ordered = np.eye(m)[np.insert(orders, 0, 0, axis=1)]
     constant = np.sign(a.eigenvectors[0, 0] * b.eigenvectors[0, 0])
     signs = np.array([(constant, *s) for s in product((1.0, -1.0), repeat=m - 1)])
-    starts: Floats = (signs[:, None, :, None] * ordered).reshape(-1, m, m)
-    return starts
+    return np.asarray((signs[:, None, :, None] * ordered).reshape(-1, m, m))
 
 
 class _Samples(NamedTuple):
-    """What maps are compared by, at samples of both surfaces; None without the geometries."""
+    """What maps are compared by, at samples of both surfaces; m and c are 0 where none is known."""
 
-    scale: Floats | None  # (pairs,) of the target's area forms
+    scale: Floats  # (pairs,) of the target's area forms
     rows1: Floats  # (s1, 30) modes of the source
     rows2: Floats  # (s2, 30) and of the target
-    forms1: Floats | None  # (s1, m, m) area forms of the lowest modes
-    forms2: Floats | None  # (s2, pairs), scaled
-    curved1: Floats | None  # (s1, c) curvatures
-    curved2: Floats | None  # (s2, c)
+    forms1: Floats  # (s1, m, m) area forms of the lowest modes
+    forms2: Floats  # (s2, pairs), scaled
+    curved1: Floats  # (s1, c) curvatures
+    curved2: Floats  # (s2, c)
 
     def head(self, count: int) -> _Samples:
         """Return the first samples."""
-        names = ("rows1", "rows2", "forms1", "forms2", "curved1", "curved2")
-        known = {name: x for name in names if (x := getattr(self, name)) is not None}
-        return self._replace(**{name: x[:count] for name, x in known.items()})
+        return _Samples(self.scale, *(values[:count] for values in self[1:]))
 
     def nearest(self, maps: Floats) -> tuple[Ints, Floats]:
         """Return the source's sample nearest to each of the target's, (c, s2), and the fit (c,).
@@ -142,11 +134,11 @@ class _Samples(NamedTuple):
         k = maps.shape[1]
         columns1 = [self.rows1[:, :k] @ maps.transpose(0, 2, 1)]
         columns2 = [self.rows2[:, :k]]
-        if self.forms2 is not None and k < _FORMS_UNTIL:
+        if self.forms2.size and k < _FORMS_UNTIL:
             weight = np.sqrt(_FORM_SHARE * k / self.forms2.shape[1])
             columns1.append(weight * self._mapped_forms(maps))
             columns2.append(weight * self.forms2)
-        if self.curved1 is not None and self.curved2 is not None:
+        if self.curved2.size:
             weight = np.sqrt(_CURVATURE_SHARE * k / self.curved2.shape[1])
             there = weight * self.curved1
             columns1.append(np.broadcast_to(there, (len(maps), *there.shape)))
@@ -158,7 +150,7 @@ class _Samples(NamedTuple):
 
     def _mapped_forms(self, maps: Floats) -> Floats:
         """Return the forms of the mapped modes at the source's samples, (c, s1, pairs)."""
-        forms = np.asarray(self.forms1)
+        forms = self.forms1
         c, s, q = len(maps), *forms.shape[:2]
         m = min(q, maps.shape[1])
         C = np.zeros((c, q, m))
@@ -171,33 +163,24 @@ class _Samples(NamedTuple):
 
 def _sampled(source: Prepared, target: Prepared, mirrored: bool) -> _Samples:
     """Return what candidates of one orientation grow by."""
-    first, second = (side.samples[:_SAMPLES] for side in (source, target))
-    forms1 = forms2 = scale = curved1 = curved2 = None
-    if source.geometry is not None and target.geometry is not None:
-        m = _FORM_MODES
-        forms1, on_target = (
-            np.einsum(
-                "sl,lij->sij",
-                side.spectrum.eigenvectors[chosen, : len(form)],
-                form[:, :m, :m],
-            )
-            for side, form, chosen in (
-                (source, source.form, first),
-                (target, target.form, second),
-            )
+    sides = [(side, side.samples[:_SAMPLES]) for side in (source, target)]
+    rows = [side.spectrum.eigenvectors[chosen, :LOWEST_K] for side, chosen in sides]
+    m = _FORM_MODES
+    forms1, on_target = (
+        np.einsum(
+            "sl,lij->sij",
+            side.spectrum.eigenvectors[chosen, : len(side.form)],
+            side.form[:, :m, :m],
         )
-        i, j = _pairs(m)
-        forms2 = on_target[:, i, j]
-        scale = np.sqrt((forms2**2).mean(axis=0))
-        forms2 = (-forms2 if mirrored else forms2) / scale
-    if both := curvatures(source, target):
-        curved1, curved2 = (
-            curved[chosen, :_CURVATURES]
-            for curved, chosen in zip(both, (first, second), strict=True)
-        )
-    rows1 = source.spectrum.eigenvectors[first, :LOWEST_K]
-    rows2 = target.spectrum.eigenvectors[second, :LOWEST_K]
-    return _Samples(scale, rows1, rows2, forms1, forms2, curved1, curved2)
+        for side, chosen in sides
+    )
+    i, j = _pairs(forms1.shape[1])
+    forms2 = on_target[:, i, j]
+    scale = np.sqrt((forms2**2).mean(axis=0))
+    forms2 = (-forms2 if mirrored else forms2) / scale
+    both = curvatures(source, target) or [np.empty((side.spectrum.n, 0)) for side, _ in sides]
+    curved = [bent[chosen, :_CURVATURES] for bent, (_, chosen) in zip(both, sides, strict=True)]
+    return _Samples(scale, *rows, forms1, forms2, *curved)
 
 
 def _pairs(m: int) -> tuple[Ints, Ints]:
@@ -222,9 +205,7 @@ class Side(NamedTuple):
         q = min(self.forms.shape[1], len(positions))
         turns = positions[:q].T @ (self.forms[:, :q, :q] @ positions[:q])
         normals = np.stack([turns[:, 1, 2], turns[:, 2, 0], turns[:, 0, 1]], axis=1)
-        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-        out: Floats = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
-        return out
+        return unit_rows(normals)
 
 
 class Rigid(NamedTuple):
@@ -234,7 +215,7 @@ class Rigid(NamedTuple):
     distance: float  # between nearest points, normals and curvatures, both ways
 
 
-def side_of(prepared: Prepared, *, mirrored: bool = False) -> Side:
+def side_of(prepared: Prepared, mirrored: bool = False) -> Side:
     """Return a surface at its samples; `mirrored`, its mirror image."""
     surface, spectrum, form = prepared.surface, prepared.spectrum, prepared.form
     chosen = prepared.samples[:SAMPLES]
@@ -332,20 +313,14 @@ def _fitted(
         back, forth = nearest_each_way(np.hstack(columns1), np.hstack(columns2))
         distance = 0.5 * (_rms(seen2 - seen1[back]) + _rms(seen1 - seen2[forth]))
         C = np.asarray(np.linalg.lstsq(V, U[back], rcond=None)[0], dtype=np.float64)
-        displacement = _displacement(
-            source, there, U @ positions[:k], back, forth, min(k, _BENDING_MODES)
-        )
+        here, count = U @ positions[:k], min(k, _BENDING_MODES)
+        displacement = _displacement(source, there, here, back, forth, count)
     assert C is not None
     return Rigid(functional_map=C, distance=distance)
 
 
 def _displacement(
-    source: Side,
-    there: Floats,
-    here: Floats,
-    back: Ints,
-    forth: Ints,
-    count: int,
+    source: Side, there: Floats, here: Floats, back: Ints, forth: Ints, count: int
 ) -> Floats:
     """Return coefficients, (count, 3), that move points to their partners, smoothly."""
     U = source.rows[:, :count]

@@ -21,19 +21,19 @@ from spectra_kit._core.version import VERSION
 from spectra_kit._core.warn import hearing
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.features import shape_dna, shape_dna_distances
-from spectra_kit.maps.match import matched, matched_from
+from spectra_kit.maps.match import LastSteps, matched, matched_from
 from spectra_kit.maps.prepare import LOWEST_K, REFINED_K, Prepared, truncated
 from spectra_kit.maps.result import DEFAULT, Candidate, Match, MatchOptions
 from spectra_kit.maps.score import scored
 from spectra_kit.maps.synchronise import (
     LEAD,
+    Clusters,
     Found,
     Frames,
     Sampled,
     apart,
     coupled_zoomout,
     groups,
-    synchronised,
 )
 
 _KEPT = ("maps", "scores", "mirrored")  # of what a pair's own match has found, in a file
@@ -121,9 +121,6 @@ class Collection(Rebuilt):
 
     def candidate(self, source: str, target: str) -> Candidate:
         """Return the map that the frames imply, grown anew from the lowest modes, unrefined."""
-        return self._candidate(source, target)
-
-    def _candidate(self, source: str, target: str) -> Candidate:
         i, j = (self._place(end, x) for end, x in (("source", source), ("target", target)))
         a, b = self.shapes[source], self.shapes[target]
         implied, mirrored = self.frames[j] @ self.frames[i].T, self.mirrored[i] != self.mirrored[j]
@@ -136,21 +133,16 @@ class Collection(Rebuilt):
         It has one candidate, and so no rival: both its margins are infinite, and its confidence is
         what it would be if a rival scored as well. Warns where it is not `Match.convincing`.
         """
-        found = [self._candidate(source, target)]
-        return matched_from(
-            *(self.shapes[source], self.shapes[target], [found]),
-            k=check_count("k", k, low=LOWEST_K),
-            elastic=elastic,
-            options=self.options,
-        )
+        found, ends = [self.candidate(source, target)], (self.shapes[source], self.shapes[target])
+        last = LastSteps(check_count("k", k, low=LOWEST_K), elastic)
+        return matched_from(*ends, [found], last, self.options)
 
     def _place(self, end: str, name: str) -> int:
-        names = list(self.shapes)
-        if name not in names:
+        if name not in self.shapes:
             raise InvalidInputError(
                 end, "be the name of a surface of the collection", repr(name), advice="see `shapes`"
             )
-        return names.index(name)
+        return list(self.shapes).index(name)
 
     def __repr__(self) -> str:
         told = f"{len(self.shapes)} surfaces, {len(self.pairs)} pairs matched"
@@ -207,18 +199,8 @@ def match_collection(
     *Functional map networks for analyzing and exploring large shape collections*, SIGGRAPH 2014,
     and Huang, Ren, Wonka, Ovsjanikov, *Consistent ZoomOut*, SGP 2020.
 
-    The number of pairs matched, time and memory are linear in the number of surfaces.
-
-    Examples
-    --------
-    >>> import spectra_kit as sk
-    >>> poses = {f"pose {i}": sk.geometry.creature(600, pose=i) for i in (1, 2, 3)}
-    >>> shapes = {name: sk.prepare(sk.spectrum(mesh, 60), mesh) for name, mesh in poses.items()}
-    >>> found = sk.maps.match_collection(shapes)
-    >>> found
-    Collection(3 surfaces, 3 pairs matched)
-    >>> found.pair("pose 1", "pose 3").point_map.shape
-    (600,)
+    The number of pairs matched, time and memory are linear in the number of surfaces. The guide
+    (docs/matching.md) has an example.
     """
     names, many = list(shapes), _checked(shapes, mirrored)
     check_count("neighbours", neighbours, low=1)
@@ -226,10 +208,8 @@ def match_collection(
     dnas = [shape_dna(shape.spectrum, min(count, REFINED_K)) for shape in many]
     alone = _Alone(many, mirrored, None if folder is None else Path(folder), options)
     with single_threaded_blas():
-        frames = synchronised(
-            *(many, shape_dna_distances(dnas), neighbours, alone, options),
-            joined=lambda done: progress and progress(done, len(many)),
-        )
+        clusters = Clusters(many, shape_dna_distances(dnas), alone, options)
+        frames = clusters.joined(neighbours, lambda done: progress and progress(done, len(many)))
         pairs = tuple(_told(names, many, i, j, frames) for i, j in sorted(frames.found))
     label = groups(len(many), frames.found)
     grouped = [tuple(np.array(names)[label == x].tolist()) for x in range(label.max() + 1)]
@@ -282,9 +262,7 @@ class _Alone:
         """Return what `match` chooses from; what it would refine is worked out when asked for."""
         a, b, options = self._shapes[i], self._shapes[j], self._options
         with hearing():  # `convincing` tells of doubts
-            one = matched(
-                *(a, b), mirrored=self._mirrored, k=REFINED_K, elastic=False, options=options
-            )
+            one = matched(a, b, LastSteps(REFINED_K, elastic=False), self._mirrored, options)
         return Found(
             maps=np.array([c.functional_map for c in one.candidates]),
             scores=np.array([c.score for c in one.candidates]),
@@ -328,25 +306,18 @@ def _key(shape: Prepared) -> str:
 def _implied(a: Prepared, b: Prepared, implied: Floats, mirrored: bool) -> Candidate:
     """Return the candidate that a map becomes when it is grown anew from its lowest modes."""
     source, target = (Sampled.of(shape, len(implied)) for shape in (a, b))
-    candidates = []
-    for lead in _LEADS:
-        C = coupled_zoomout(source, target, implied[None], lead)[0]
-        candidates.append(scored(a, b, C, mirrored=mirrored))
-    return min(candidates, key=lambda c: c.score)
+    grown = (coupled_zoomout(source, target, implied[None], lead)[0] for lead in _LEADS)
+    return min((scored(a, b, C, mirrored) for C in grown), key=lambda c: c.score)
 
 
 def _told(
-    names: list[str],
-    shapes: list[Prepared],
-    i: int,
-    j: int,
-    frames: Frames,
+    names: list[str], shapes: list[Prepared], i: int, j: int, frames: Frames
 ) -> CollectedPair:
     """Return what became of a pair that was matched by itself."""
     a, b, found = shapes[i], shapes[j], frames.found[i, j]
     implied, turns = frames.maps[j] @ frames.maps[i].T, frames.mirrored[i] != frames.mirrored[j]
     chosen = _implied(a, b, implied, bool(turns))
-    alone = scored(a, b, found.maps[0], mirrored=bool(found.mirrored[0]))
+    alone = scored(a, b, found.maps[0], bool(found.mirrored[0]))
     return CollectedPair(
         source=names[i],
         target=names[j],

@@ -20,11 +20,10 @@ from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.maps.convert import Correspondence
 from spectra_kit.maps.nearest import nearest_within
 from spectra_kit.maps.prepare import CURVATURE_SCALE, Prepared, curvatures
-from spectra_kit.maps.subsample import neighbours
+from spectra_kit.maps.subsample import around
 from spectra_kit.maps.surface import Surface, outward_normals
 from spectra_kit.operators.oriented import OrientedTriangles
 
-ROUNDS = 5  # of finding nearest points
 _BENDS, _FIRST_BENDS = 2, 8  # in each round, and in the first
 # Goals on a dense target are exact, so that the deformed surface may follow them closely in the
 # end. On five pairs of bodies errors fell by 3 per cent, as with five rounds.
@@ -49,8 +48,8 @@ def deform(
     target: Surface,
     way_there: Ints,
     *,
-    mirrored: bool = False,
-    rounds: int = ROUNDS,
+    mirrored: bool,
+    rounds: int,
     fine_rounds: int = 0,
     bends: tuple[int, int] = (_FIRST_BENDS, _BENDS),
 ) -> Deformed:
@@ -91,8 +90,8 @@ def contact(
     target: Surface,
     way_there: Ints,
     *,
-    mirrored: bool = False,
-    rounds: int = ROUNDS,
+    mirrored: bool,
+    rounds: int,
     bends: tuple[int, int] = (_FIRST_BENDS, _BENDS),
 ) -> Contact:
     """Return who meets whom, once the source is bent onto the target as `deform` does it."""
@@ -111,12 +110,7 @@ def rows_of(points: Floats, oriented: OrientedTriangles) -> Floats:
 
 
 def by_bending(
-    source: Prepared,
-    target: Prepared,
-    way_there: Ints,
-    *,
-    mirrored: bool,
-    rounds: int,
+    source: Prepared, target: Prepared, way_there: Ints, *, mirrored: bool, rounds: int
 ) -> tuple[Ints, Floats, Floats]:
     """Return which source point each target point meets once the source is bent onto the target.
 
@@ -167,15 +161,12 @@ def by_modes(
         return found.point_map, here, there
     s1, s2 = source.spectrum.n, target.spectrum.n
     went = sparse.csr_array((np.ones(s2), (np.arange(s2), found.point_map)), shape=(s2, s1))
-    ways = sparse.csr_array(_around(target) @ went @ _around(source))
+    near1, near2 = (
+        around(side.surface.oriented.faces, side.spectrum.n) for side in (source, target)
+    )
+    ways = sparse.csr_array(near2 @ went @ near1)
     point_map = nearest_within(ways, (here, source.closest), (there, target.closest))
     return point_map, here, there
-
-
-def _around(side: Prepared) -> sparse.csr_array:
-    """Return which of the points that a surface is matched on are neighbours, or the same."""
-    n = side.spectrum.n
-    return sparse.csr_array(neighbours(side.surface.oriented.faces, n) + sparse.eye_array(n))
 
 
 def _bending(
@@ -249,8 +240,7 @@ def _polar(covariances: Floats) -> Floats:
         M[[0, 1, 2], [0, 1, 2]] += 0.5 * (e1**2 - f)
         inverse = _cofactors(M)
         inverse /= (M[0] * inverse[0]).sum(axis=0)
-    out: Floats = np.einsum("ijn,jkn->nik", cofactors + e1 * A, inverse)
-    return out
+    return np.asarray(np.einsum("ijn,jkn->nik", cofactors + e1 * A, inverse))
 
 
 def _cofactors(A: Floats) -> Floats:

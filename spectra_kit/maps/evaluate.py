@@ -1,7 +1,6 @@
 """Quality of a point map: errors where the truth is known, and what tells without it.
 
-Errors are geodesic, direct and symmetric. Coverage, smoothness, orientation and a way back need no
-truth.
+Errors are geodesic. Coverage, smoothness, orientation and a way back need no truth.
 """
 
 from __future__ import annotations
@@ -29,10 +28,11 @@ from spectra_kit.geodesics.edges import distances_of_pairs
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.maps.convert import at_unit_area, check_point_map, induced
 from spectra_kit.maps.nearest import nearest
-from spectra_kit.maps.score import share_over_chance
+from spectra_kit.maps.score import coverage_over_chance
 from spectra_kit.operators import Laplacian
 
 _INVERSE_K = 100  # modes of the functional map whose transpose leads back
+_ANY = np.iinfo(np.int64).max  # points of a surface that is not known here
 #: A map is flipped if its mean symmetric error is lower than its direct one by more than this.
 FLIP_MARGIN = 1.0
 
@@ -66,7 +66,7 @@ class Truth(Rebuilt):
             values = getattr(self, name)
             if values is None and name == "symmetric":
                 continue
-            array = check_indices(name, values, np.iinfo(np.int64).max)
+            array = check_indices(name, values, _ANY)
             if array.ndim != 1 or array.shape != size or not len(array):
                 raise InvalidInputError(
                     name, "have the shape (c,) of `source`, c >= 1", f"{array.shape} beside {size}"
@@ -76,7 +76,7 @@ class Truth(Rebuilt):
     @classmethod
     def of_map(cls, point_map: ArrayLike) -> Truth:
         """Return the truth that a whole true point map of shape (n2,) states."""
-        source = check_indices("point_map", point_map, np.iinfo(np.int64).max)
+        source = check_indices("point_map", point_map, _ANY)
         if source.ndim != 1 or not len(source):
             raise InvalidInputError("point_map", "have shape (n2,)", source.shape)
         return cls(source, np.arange(len(source)))
@@ -112,16 +112,16 @@ class MapErrors(Rebuilt):
     symmetric: Floats | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "direct", frozen(_errors("direct", self.direct)))
-        target = check_indices("target", self.target, np.iinfo(np.int64).max)
-        object.__setattr__(self, "target", frozen(target.copy()))
+        direct = _errors("direct", self.direct)
+        made = {"direct": direct, "target": check_indices("target", self.target, _ANY).copy()}
         if self.symmetric is not None:
-            object.__setattr__(self, "symmetric", frozen(_errors("symmetric", self.symmetric)))
-        for name in ("target", "symmetric"):
-            if (values := getattr(self, name)) is not None and values.shape != self.direct.shape:
+            made["symmetric"] = _errors("symmetric", self.symmetric)
+        for name, values in made.items():
+            if values.shape != direct.shape:
                 raise InvalidInputError(
-                    name, f"have the shape {self.direct.shape} of `direct`", values.shape
+                    name, f"have the shape {direct.shape} of `direct`", values.shape
                 )
+            object.__setattr__(self, name, frozen(values))
 
     def at_points(self, n: int) -> Floats:
         """Return the direct errors at each of n target points: (n,).
@@ -180,14 +180,19 @@ def map_errors(
 
     Examples
     --------
-    >>> from spectra_kit.maps import Truth, map_errors
-    >>> from spectra_kit.geometry import sphere
-    >>> mesh = sphere(subdivisions=2).geometry
-    >>> float(map_errors(mesh, range(mesh.n), Truth.of_map(range(mesh.n))).direct.max())
+    >>> import spectra_kit as sk
+    >>> mesh = sk.geometry.sphere(subdivisions=2).geometry
+    >>> truth = sk.maps.Truth.of_map(range(mesh.n))
+    >>> float(sk.maps.map_errors(mesh, range(mesh.n), truth).direct.max())
     0.0
     """
-    at, scaled = _scaled_errors(mesh, point_map, truth, method)
-    return MapErrors(scaled[0], at, *scaled[1:])
+    p = check_point_map("point_map", point_map, mesh.n)
+    at = check_indices("truth.target", truth.target, len(p))
+    goals = [truth.source] if truth.symmetric is None else [truth.source, truth.symmetric]
+    ends = check_indices("truth", np.concatenate(goals), mesh.n)
+    found = distances_of_pairs(mesh, np.tile(p[at], len(goals)), ends, method)
+    direct, *symmetric = 100 * found.reshape(len(goals), -1) / np.sqrt(mesh.area)
+    return MapErrors(direct, at, *symmetric)
 
 
 @checked
@@ -203,13 +208,12 @@ def geodesic_errors(
     Parameters
     ----------
     mesh, point_map, truth, method
-        As of `map_errors`.
+        As of `map_errors`, which pictures want: it knows the points.
 
     Returns
     -------
     ndarray of shape (c,)
-        The direct errors of `map_errors`, in hundredths of the root of the source's area, and in
-        the order of the truth; pictures want `map_errors` itself, which knows the points.
+        The direct errors.
 
     Examples
     --------
@@ -218,24 +222,8 @@ def geodesic_errors(
     >>> sk.maps.geodesic_errors(mesh, [0, 1], sk.maps.Truth([0, 1], [0, 1]))
     array([0., 0.])
     """
-    return _scaled_errors(mesh, point_map, truth, method, symmetric=False)[1][0]
-
-
-def _scaled_errors(
-    mesh: TriangleMesh, point_map: ArrayLike, truth: Truth, method: str, *, symmetric: bool = True
-) -> tuple[Ints, list[Floats]]:
-    """Return the target points of a truth, and the errors there: direct, and symmetric if known."""
-    p = check_point_map("point_map", point_map, mesh.n)
-    at = check_indices("truth.target", truth.target, len(p))
-    goals = [truth.source]
-    if symmetric and truth.symmetric is not None:
-        goals.append(truth.symmetric)
-    found = distances_of_pairs(mesh, np.tile(p[at], len(goals)), _goals(mesh, goals), method)
-    return at, list(100 * found.reshape(len(goals), -1) / np.sqrt(mesh.area))
-
-
-def _goals(mesh: TriangleMesh, goals: list[Ints]) -> Ints:
-    return check_indices("truth", np.concatenate(goals), mesh.n)
+    alone = Truth(truth.source, truth.target)
+    return map_errors(mesh, point_map, alone, method=method).direct.copy()
 
 
 @checked
@@ -342,7 +330,7 @@ def coverage(point_map: ArrayLike, mass: ArrayLike, target_mass: ArrayLike | Non
         return float(weights[np.unique(p)].sum() / weights.sum())
     others = check_mass("target_mass", target_mass, np.size(target_mass))
     p = check_point_map("point_map", point_map, len(weights), len(others))
-    return share_over_chance(weights / weights.sum(), others / others.sum(), p)
+    return coverage_over_chance(weights, others, p)
 
 
 @checked
@@ -497,8 +485,8 @@ def orientation(
     images = p[check_faces("target_faces", target_faces, len(p))]
     normals = np.zeros_like(points)
     cross = _crosses(points, faces)
-    for corner in range(3):
-        np.add.at(normals, faces[:, corner], cross)
+    for corner in faces.T:
+        np.add.at(normals, corner, cross)
     normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(np.float64).tiny)[:, None]
     mapped = _crosses(points, images)
     # One flat triangle sees three normals: where these disagree it lies across a sharp edge.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple, Protocol, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +17,6 @@ from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.features import normalize_descriptors, wave_kernel_signature
 from spectra_kit.geometry import Geometry
-from spectra_kit.maps.calibration import score_of
 from spectra_kit.maps.candidates import bent, rigid_candidates, side_of, sign_candidates
 from spectra_kit.maps.convert import (
     Correspondence,
@@ -40,13 +39,7 @@ from spectra_kit.maps.prepare import (
     truncated,
 )
 from spectra_kit.maps.result import DEFAULT, Candidate, Match, MatchOptions, warn_of
-from spectra_kit.maps.score import (
-    Pairs,
-    coverage_over_chance,
-    mismatches,
-    orientation_of,
-    scored,
-)
+from spectra_kit.maps.score import Pairs, coverage_over_chance, orientation_of, scored
 from spectra_kit.maps.surface import Surface, clustered, discontinuity, topologies
 from spectra_kit.maps.zoomout import both_ways, many_zoomed
 
@@ -141,47 +134,38 @@ def match(
             f"only that of the {'source' if seen else 'target'}",
             advice="pass the other one, too",
         )
-    if mirrored is not None and not seen:
-        raise InvalidInputError(
-            "mirrored",
-            "be None without both geometries",
-            mirrored,
-            advice="pass source_geometry and target_geometry",
-        )
-    if precise and not seen:
-        raise InvalidInputError(
-            "precise",
-            "be False without both geometries",
-            precise,
-            advice="pass source_geometry and target_geometry",
-        )
+    for name, value, blind in (("mirrored", mirrored, None), ("precise", precise, False)):
+        if value != blind and not seen:
+            raise InvalidInputError(
+                name,
+                f"be {blind} without both geometries",
+                value,
+                advice="pass source_geometry and target_geometry",
+            )
     if landmarks is not None:
         landmarks = check_landmarks(landmarks, a.whole.n, b.whole.n)
     if initial is not None:
         initial = check_point_map("initial", initial, a.whole.n, b.whole.n)
-    return matched(
-        *(a, b),
-        landmarks=landmarks,
-        initial=initial,
-        mirrored=mirrored,
-        k=k,
-        elastic=elastic,
-        precise=precise,
-        options=options,
-    )
+    last = LastSteps(k, elastic, precise)
+    return matched(a, b, last, mirrored, options, landmarks, initial)
+
+
+class LastSteps(NamedTuple):
+    """How the chosen candidate becomes a match: see `match`."""
+
+    k: int
+    elastic: bool = True
+    precise: bool = False
 
 
 def matched(
     a: Prepared,
     b: Prepared,
-    *,
+    last: LastSteps,
+    mirrored: bool | None,
+    options: MatchOptions,
     landmarks: Pairs | None = None,
     initial: Ints | None = None,
-    mirrored: bool | None,
-    k: int,
-    elastic: bool = True,
-    precise: bool = False,
-    options: MatchOptions,
 ) -> Match:
     """Do the same with checked arguments."""
     seen = a.geometry is not None
@@ -197,38 +181,28 @@ def matched(
             found = [[search.known(on_matched(a, b, initial), mirrored)]]
         if len(found) == 2 and found[1][0].score * options.mirrored_by < found[0][0].score:
             found.reverse()
-        return matched_from(
-            *(a, b, found),
-            k=k,
-            elastic=elastic,
-            options=options,
-            precise=precise,
-            landmarks=landmarks,
-        )
+        return matched_from(a, b, found, last, options, landmarks)
 
 
 def matched_from(
     a: Prepared,
     b: Prepared,
     found: Sequence[Sequence[Candidate]],
-    *,
-    k: int,
-    elastic: bool,
+    last: LastSteps,
     options: MatchOptions,
-    precise: bool = False,
     landmarks: Pairs | None = None,
 ) -> Match:
     """Refine one of the first candidates found, those of either orientation; the best first."""
-    k = min(k, a.spectrum.k, b.spectrum.k)
+    last = last._replace(k=min(last.k, a.spectrum.k, b.spectrum.k))
     seen = a.geometry is not None and b.geometry is not None
     apart, lost_from = None, np.inf
     with single_threaded_blas():
         chosen = _settled(a, b, found[0], options.rounds)
-        point_map, on_faces = _refined(a, b, chosen, k, elastic, options.rounds, precise)
+        point_map, on_faces = _refined(a, b, chosen, last, options.rounds)
         if landmarks is not None and seen:
             apart, lost_from = _left_by(a.whole_surface, point_map, landmarks)
             point_map, on_faces = _kept(point_map, on_faces, landmarks, apart <= lost_from)
-        functional_map = induced(a.whole, b.whole, point_map, k, k)
+        functional_map = induced(a.whole, b.whole, point_map, last.k, last.k)
     on_few = on_matched(a, b, point_map)
     opposite = [c.score for c in found[-1]] if len(found) == 2 else []
     rivals = [c.score for c in found[0] if _apart(c, chosen) > _RIVAL]
@@ -243,7 +217,7 @@ def matched_from(
         consistent=min(
             side.surface.oriented.consistent if side.geometry else 1.0 for side in (a, b)
         ),
-        coverage=coverage_over_chance(a.spectrum, b.spectrum, on_few),
+        coverage=coverage_over_chance(a.spectrum.mass, b.spectrum.mass, on_few),
         discontinuity=discontinuity(a.surface, b.surface, on_few) if seen else None,
         candidates=(chosen, *others),
         precise=on_faces,
@@ -284,26 +258,9 @@ def _gap(a: Prepared, b: Prepared, candidate: Candidate, rounds: int) -> float:
     return contact(a.surface, b.surface, there, mirrored=mirrored, rounds=rounds).gap
 
 
-class _Scored(Protocol):
-    @property
-    def functional_map(self) -> Floats: ...
-    @property
-    def score(self) -> float: ...
-
-
-class _Rough(NamedTuple):
-    """A map that is compared with many others."""
-
-    functional_map: Floats
-    score: float
-
-
-_Any = TypeVar("_Any", bound=_Scored)
-
-
-def _distinct(candidates: Iterable[_Any], apart: float) -> list[_Any]:
+def _distinct(candidates: Iterable[Candidate], apart: float) -> list[Candidate]:
     """Return the candidates by score, without those that all but repeat a better one."""
-    kept = list[_Any]()
+    kept = list[Candidate]()
     for c in sorted(candidates, key=lambda c: c.score):
         if all(_apart(c, other) > apart for other in kept):
             kept.append(c)
@@ -311,23 +268,18 @@ def _distinct(candidates: Iterable[_Any], apart: float) -> list[_Any]:
 
 
 def _refined(
-    a: Prepared,
-    b: Prepared,
-    chosen: Candidate,
-    k: int,
-    elastic: bool,
-    rounds: int,
-    precise: bool = False,
+    a: Prepared, b: Prepared, chosen: Candidate, last: LastSteps, rounds: int
 ) -> tuple[Ints, sparse.csr_array | None]:
     """Return the map of all points that a candidate is refined to, and the one into triangles."""
+    k = last.k
     start = _sharpened(a, b, chosen.functional_map[:k, :k])
-    if not elastic or a.geometry is None or b.geometry is None:
+    if not last.elastic or a.geometry is None or b.geometry is None:
         point_map, here, there = by_modes(a, b, _zoomed(a, b, start, k)[0])
     else:
         _, way_there = spectral_map(a, b, start, k)
         mirrored = chosen.mirrored
         point_map, here, there = by_bending(a, b, way_there, mirrored=mirrored, rounds=rounds)
-    if not precise:
+    if not last.precise:
         return point_map, None
     return point_map, into_triangles(there, here, a.whole_surface.oriented.faces, point_map)
 
@@ -341,11 +293,13 @@ def _sharpened(a: Prepared, b: Prepared, functional_map: Floats) -> Floats:
     low, k = LOWEST_K, len(functional_map)
     if a.geometry is None or b.geometry is None or k <= low:
         return functional_map
-    rows1, rows2 = a.spectrum.eigenvectors[a.samples, :k], b.spectrum.eigenvectors[b.samples, :k]
-    start = functional_map[None, :low, :low]
-    maps, _ = many_zoomed(rows1, rows2, start, k, 6)
-    sharp: Floats = maps[0]
-    return sharp
+    return np.asarray(_on_samples(a, b, functional_map[None, :low, :low], k)[0])
+
+
+def _on_samples(a: Prepared, b: Prepared, maps: Floats, k: int) -> Floats:
+    """Return maps (c, j, j) refined to k modes on the samples of both, (c, k, k)."""
+    rows1, rows2 = (side.spectrum.eigenvectors[side.samples, :k] for side in (a, b))
+    return many_zoomed(rows1, rows2, maps, k, 6)[0]
 
 
 def spectral_map(a: Prepared, b: Prepared, start: Floats, k: int) -> tuple[Correspondence, Ints]:
@@ -385,27 +339,19 @@ class Search:
         bends = curvatures(a, b) is not None  # else normals tell nothing of who is whom
         sides = (side_of(a, mirrored=mirrored), side_of(b)) if bends else None
         if sides is not None:
-            laid = (self._rough(C, mirrored) for C in rigid_candidates(*sides, options.turns))
+            turned = rigid_candidates(*sides, options.turns)
+            laid = (self._scored(C, mirrored, rough=True) for C in turned)
             maps += [c.functional_map for c in _distinct(laid, _SAME)[:_RIGID]]
         maps += [fit for fit in self._fits if self._mirrors(fit) == mirrored]
-        grown = _distinct((self._rough(C, mirrored) for C in maps), _SAME)
+        grown = _distinct((self._scored(C, mirrored, rough=True) for C in maps), _SAME)
         starts = [c.functional_map for c in grown[: options.finalists]]
         if sides is not None:
             refined = [bent(*sides, C) for C in starts]
-            return _distinct(
-                (
-                    self._scored(one.functional_map, mirrored, alignment=one.distance)
-                    for one in refined
-                ),
-                _SAME,
-            )
+            made = (self._scored(C, mirrored, alignment=distance) for C, distance in refined)
+            return _distinct(made, _SAME)
         k = min(REFINED_K, a.spectrum.k, b.spectrum.k)
-        rows1, rows2 = (
-            a.spectrum.eigenvectors[a.samples, :k],
-            b.spectrum.eigenvectors[b.samples, :k],
-        )
-        maps_, _ = many_zoomed(rows1, rows2, np.stack(starts), k, 6)
-        return _distinct((self._scored(C, mirrored) for C in maps_), _SAME)
+        zoomed = _on_samples(a, b, np.stack(starts), k)
+        return _distinct((self._scored(C, mirrored) for C in zoomed), _SAME)
 
     def known(self, point_map: Ints, mirrored: bool | None) -> Candidate:
         """Return what a map of all points comes to in the refined modes; unrefined."""
@@ -420,44 +366,26 @@ class Search:
     def _fitted(self, landmarks: Pairs) -> list[Floats]:
         """Return functional maps that fit the landmarks: by what is seen from them, and how far."""
         count, every = _LANDMARK_ENERGIES, -(-len(landmarks[0]) // _SEEN_FROM)
-        f, g = (
-            normalize_descriptors(
-                side.spectrum,
-                np.hstack(
-                    [
-                        side.wave,
-                        wave_kernel_signature(
-                            side.spectrum, count=count, landmarks=points[::every]
-                        ),
-                    ]
-                ),
-            )
-            for side, points in zip((self._a, self._b), landmarks, strict=True)
-        )
+        descriptors = []
+        for side, points in zip((self._a, self._b), landmarks, strict=True):
+            seen = wave_kernel_signature(side.spectrum, count=count, landmarks=points[::every])
+            known = np.hstack([side.wave, seen])
+            descriptors.append(normalize_descriptors(side.spectrum, known))
         source, target, k = self._a.spectrum, self._b.spectrum, LOWEST_K
-        fits = [fit_functional_map(source, target, f, g, k=k, landmarks=landmarks)]
-        seen = self._a.geometry is not None and self._b.geometry is not None
-        if seen and len(landmarks[0]) >= _ENOUGH:
+        fits = [fit_functional_map(source, target, *descriptors, k=k, landmarks=landmarks)]
+        if self._a.geometry and self._b.geometry and len(landmarks[0]) >= _ENOUGH:
             there = _located(self._a.surface, self._b.surface, landmarks)
             fits.append(induced(source, target, there, k, k))
         return fits
 
-    def _rough(self, C: Floats, mirrored: bool) -> _Rough:
-        values = mismatches(
-            *(self._a, self._b, C), mirrored=mirrored, landmarks=self._landmarks, rough=True
-        )
-        return _Rough(C, score_of(values))
-
-    def _scored(self, C: Floats, mirrored: bool, *, alignment: float | None = None) -> Candidate:
-        return scored(
-            *(self._a, self._b, C),
-            mirrored=mirrored,
-            landmarks=self._landmarks,
-            alignment=alignment,
-        )
+    def _scored(
+        self, C: Floats, mirrored: bool, *, rough: bool = False, alignment: float | None = None
+    ) -> Candidate:
+        sides, known = (self._a, self._b), self._landmarks
+        return scored(*sides, C, mirrored, known, rough=rough, alignment=alignment)
 
 
-def _apart(c: _Scored, other: _Scored) -> float:
+def _apart(c: Candidate, other: Candidate) -> float:
     """Return the squared difference of two maps, per mode."""
     C = c.functional_map
     return float(((C - other.functional_map) ** 2).sum() / len(C))

@@ -14,10 +14,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from spectra_kit._core.checked import checked
@@ -34,11 +32,12 @@ from spectra_kit.geometry import Geometry, TriangleMesh, largest_component
 from spectra_kit.maps.calibration import CONVINCING_PART
 from spectra_kit.maps.convert import induced
 from spectra_kit.maps.deform import Contact, contact
-from spectra_kit.maps.match import Search, matched, spectral_map
+from spectra_kit.maps.match import LastSteps, Search, matched, spectral_map
 from spectra_kit.maps.nearest import nearest
 from spectra_kit.maps.prepare import LOWEST_K, REFINED_K, Prepared, prepared, truncated
 from spectra_kit.maps.result import DEFAULT, Candidate, Match, MatchOptions
 from spectra_kit.maps.score import coverage_over_chance, orientation_of, scored
+from spectra_kit.maps.subsample import neighbours
 from spectra_kit.maps.surface import Surface, discontinuity, topology_of
 from spectra_kit.operators import cotan_laplacian
 
@@ -113,29 +112,18 @@ def match_part(
     were wholes. Of the best, the part is bent onto the whole, as in `match`, where its border shows
     how far the region reaches; that region is matched anew, and the one with the best score is the
     answer. A part whose border cuts through the middle of a whole without limbs is out of reach.
-
-    Examples
-    --------
-    An animal without its head and neck:
-
-    >>> import numpy as np
-    >>> import spectra_kit as sk
-    >>> animal = sk.geometry.creature(700)
-    >>> left = animal.points[:, 0] < 0.6
-    >>> cut = sk.TriangleMesh(animal.points, animal.faces[left[animal.faces].all(axis=1)])
-    >>> rest = sk.geometry.largest_component(cut)
-    >>> part, whole = (sk.prepare(sk.spectrum(m, 60), m) for m in (rest.mesh, animal))
-    >>> found = sk.maps.match_part(part, whole, mirrored=False)
-    >>> print((found.covered == left).mean())
-    0.9...
+    The guide (docs/matching.md) matches an animal without its head with a whole one.
     """
     sides = [side if isinstance(side, Prepared) else prepared(side) for side in (part, whole)]
     part, whole = (side.on_all_points() for side in sides)
     for name, side in (("part", part), ("whole", whole)):
-        _check_mesh(name, side)
+        if side.geometry is None or not side.geometry.is_mesh:
+            got = "a spectrum alone" if side.geometry is None else "a cloud"
+            advice = "pass the mesh to prepare"
+            raise InvalidInputError(name, "be prepared of a mesh", got, advice=advice)
     k = min(check_count("k", k, low=LOWEST_K), part.spectrum.k, whole.spectrum.k)
     if not len(part.surface.mesh.boundary_vertices):
-        usual = matched(*sides, mirrored=mirrored, k=k, options=options)
+        usual = matched(*sides, LastSteps(k), mirrored, options)
         return replace(usual, covered=np.ones(whole.spectrum.n, dtype=bool))
     ways = (False, True) if mirrored is None else (mirrored,)
     search = _PartSearch(part, whole, min(REFINED_K, k), options)
@@ -144,10 +132,10 @@ def match_part(
         found = [search.ends([t for t in trials if t.candidate.mirrored == way]) for way in ways]
         if len(found) == 2 and found[1][0].value * _MIRRORED_BY < found[0][0].value:
             found.reverse()
-        best, *others = found[0]
-        chosen = best.trial
+        chosen, *others = found[0]
         side, bent = search.finished(chosen, k)
-        rivals = [end.value for end in others if search.apart(end.trial, chosen) > _ELSEWHERE]
+        rivals = [other.value for other in others if search.apart(other, chosen) > _ELSEWHERE]
+    candidates = [trial.candidate for trial in trials]
     covered = covered_by(part, whole, bent)
     around = bent.back[chosen.piece.vertices]
     made = Match(
@@ -155,26 +143,30 @@ def match_part(
         functional_map=_extended(part.spectrum, whole.spectrum, bent.back, covered, k),
         mirrored=chosen.candidate.mirrored,
         orientation=orientation_of(part, side, induced(part.spectrum, side.spectrum, around, k, k)),
-        margin=min(rivals) / best.value if rivals else float("inf"),
-        mirror_margin=found[1][0].value / best.value if len(found) == 2 else float("inf"),
+        margin=min(rivals) / chosen.value if rivals else float("inf"),
+        mirror_margin=found[1][0].value / chosen.value if len(found) == 2 else float("inf"),
         consistent=1.0,
-        coverage=coverage_over_chance(part.spectrum, side.spectrum, around),
+        coverage=coverage_over_chance(part.spectrum.mass, side.spectrum.mass, around),
         discontinuity=discontinuity(part.surface, side.surface, around),
-        candidates=(chosen.candidate, *(t.candidate for t in trials if t is not chosen)),
+        candidates=(chosen.candidate, *(c for c in candidates if c is not chosen.candidate)),
         covered=covered,
         convincing_score=CONVINCING_PART,
         rims=(topology_of(part.surface).rim, topology_of(whole.surface).rim),
     )
     if not made.convincing:
-        open_ = "the whole is cut off, too; " * ("rims" in made.doubts)
-        warn(
-            f"no convincing part: {open_}its mismatch is {made.score:.2f} (right parts:"
-            f" below {CONVINCING_PART:g}), and it covers {made.coverage:.2f} times as much as"
-            " chance would",
-            DoubtfulMatchWarning,
-            advice="it may be no part of this surface; look at `covered`",
-        )
+        _warn_of(made)
     return made
+
+
+def _warn_of(made: Match) -> None:
+    open_ = "the whole is cut off, too; " * ("rims" in made.doubts)
+    warn(
+        f"no convincing part: {open_}its mismatch is {made.score:.2f} (right parts:"
+        f" below {CONVINCING_PART:g}), and it covers {made.coverage:.2f} times as much as"
+        " chance would",
+        DoubtfulMatchWarning,
+        advice="it may be no part of this surface; look at `covered`",
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,20 +176,19 @@ class _Trial:
     piece: Region
     side: Prepared  # the region
     candidate: Candidate
+    began: float | None = None  # the score of the trial that led here
 
     @property
     def score(self) -> float:
         return self.candidate.score
 
+    @property
+    def value(self) -> float:
+        """The score, or the geometric mean of those here and where it began.
 
-class _End(NamedTuple):
-    """Where a trial led, and the geometric mean of the scores there and where it began.
-
-    Wrong regions grow alike to right ones as they move, so where each began counts as well.
-    """
-
-    trial: _Trial
-    value: float
+        Wrong regions grow alike to right ones as they move.
+        """
+        return self.score if self.began is None else float(np.sqrt(self.score * self.began))
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,17 +211,15 @@ class _PartSearch:
                 found += [_Trial(piece, side, candidate) for candidate in candidates]
         return sorted(found, key=lambda trial: trial.score)
 
-    def ends(self, trials: Sequence[_Trial]) -> list[_End]:
+    def ends(self, trials: Sequence[_Trial]) -> list[_Trial]:
         """Return where trials lead, the best first; those far behind stay where they are."""
-        ends = [self.followed(trial) for trial in trials[:_REFINED]]
-        values = [np.sqrt(e.score * t.score) for e, t in zip(ends, trials, strict=False)]
-        behind = [_End(trial, trial.score) for trial in trials[_REFINED:]]
-        return sorted((*map(_End, ends, map(float, values)), *behind), key=lambda end: end.value)
+        ends = [replace(self.followed(trial), began=trial.score) for trial in trials[:_REFINED]]
+        return sorted((*ends, *trials[_REFINED:]), key=lambda end: end.value)
 
     def followed(self, trial: _Trial) -> _Trial:
         """Return the trial that its border leads to, as long as each is better than the last."""
         for _ in range(_ROUNDS):
-            bent = self._bent(trial)
+            bent = self._bent(trial.candidate.functional_map, trial, trial.side, self.low)
             piece = region(self.whole, covered_by(self.part, self.whole, bent))
             if piece is None or len(piece.vertices) < LEAST_POINTS:
                 break
@@ -247,7 +236,7 @@ class _PartSearch:
         few = self.part.spectrum.eigenvectors[:, : self.low] @ trial.candidate.functional_map.T
         there = nearest(trial.side.spectrum.eigenvectors, few)
         start = induced(self.part.spectrum, side.spectrum, there, self.low, self.low)
-        return side, self._bent_by(start, trial, side, k)
+        return side, self._bent(start, trial, side, k)
 
     def apart(self, one: _Trial, other: _Trial) -> float:
         """Return how far the images of a point of the part are apart, on average."""
@@ -267,7 +256,7 @@ class _PartSearch:
         k = min(_KEPT, self.low)
         start = induced(few.spectrum, side.spectrum, around, k, k)
         C = spectral_map(few, side, start, self.low)[0].functional_map
-        return _Trial(piece, side, scored(few, side, C, mirrored=mirrored))
+        return _Trial(piece, side, scored(few, side, C, mirrored))
 
     def _loose(self, area: float) -> Surface:
         """Return the part at an area, without mass near its border: nothing pulls it there.
@@ -275,18 +264,13 @@ class _PartSearch:
         The maps to a region end at the border of the region, right or wrong; the border of a bent
         part shall be where the rest of it says.
         """
-        surface = self.part.surface
-        mesh = self.part.surface.mesh
-        depth = dijkstra(
-            graph_of(mesh), directed=False, indices=mesh.boundary_vertices, min_only=True
-        )
+        surface, mesh = self.part.surface, self.part.surface.mesh
+        border = mesh.boundary_vertices
+        depth = dijkstra(graph_of(mesh), directed=False, indices=border, min_only=True)
         held = depth >= min(_LOOSE, np.median(depth))
         return replace(surface, points=surface.points * area**0.5, mass=surface.mass * area * held)
 
-    def _bent(self, trial: _Trial) -> Contact:
-        return self._bent_by(trial.candidate.functional_map, trial, trial.side, self.low)
-
-    def _bent_by(self, start: Floats, trial: _Trial, side: Prepared, k: int) -> Contact:
+    def _bent(self, start: Floats, trial: _Trial, side: Prepared, k: int) -> Contact:
         """Bend the part onto the whole, at the size of the region, from a map to the region."""
         way_there = spectral_map(self.part, side, start, k)[1]
         return contact(
@@ -307,7 +291,7 @@ def covered_by(part: Prepared, whole: Prepared, bent: Contact) -> Bools:
     itself hardly touches.
     """
     mesh, points = part.surface.mesh, whole.surface.points
-    steps = _links(graph_of(mesh))
+    steps = neighbours(mesh.faces, mesh.n)
     middle = (steps @ bent.points) / (steps @ np.ones(mesh.n))[:, None]
     border = np.isin(np.arange(mesh.n), mesh.boundary_vertices)
     there = bent.points[bent.back]
@@ -315,7 +299,7 @@ def covered_by(part: Prepared, whole: Prepared, bent: Contact) -> Bools:
     step = ((points - there - 0.5 * outwards) * outwards).sum(axis=1)
     beyond = border[bent.back] & (step > 0)
     near = np.flatnonzero(~beyond & (np.linalg.norm(points - there, axis=1) < _REACH))
-    links = _links(graph_of(whole.surface.mesh))
+    links = neighbours(whole.surface.mesh.faces, len(points))
     _, piece = connected_components(links[near][:, near], directed=False)
     touched = np.zeros(len(points))
     touched[bent.there] = 1.0
@@ -327,29 +311,10 @@ def covered_by(part: Prepared, whole: Prepared, bent: Contact) -> Bools:
     return covered
 
 
-def _links(graph: sparse.csr_array) -> sparse.csr_array:
-    """Return the graph with 1 for each edge."""
-    out = graph.copy()
-    out.data[:] = 1.0
-    return out
-
-
 def _extended(a: Spectrum, b: Spectrum, point_map: Ints, covered: Bools, k: int) -> Floats:
     """Return the functional map of functions that are 0 where nothing is covered, (k, k)."""
     rows = b.eigenvectors[covered, :k] * b.mass[covered, None]
-    out: Floats = rows.T @ a.eigenvectors[point_map[covered], :k]
-    return out
-
-
-def _check_mesh(name: str, side: Prepared) -> None:
-    surface = side.geometry
-    if surface is None or not surface.is_mesh:
-        raise InvalidInputError(
-            name,
-            "be prepared of a mesh",
-            "a spectrum alone" if surface is None else "a cloud",
-            advice="pass the mesh to prepare",
-        )
+    return np.asarray(rows.T @ a.eigenvectors[point_map[covered], :k])
 
 
 # --- regions -------------------------------------------------------------------------------------

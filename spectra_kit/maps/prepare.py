@@ -67,7 +67,7 @@ class Prepared(Rebuilt):
     wave: Floats
     geometry: Surface | None = None
     curvature: Floats = field(default_factory=_nothing)
-    form: Floats = field(default_factory=_nothing)
+    form: Floats = field(default_factory=lambda: np.empty((0, 0, 0)))
     lengths: Floats = field(default_factory=_nothing)
     subsample: Subsample | None = None
 

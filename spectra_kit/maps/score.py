@@ -15,7 +15,7 @@ from spectra_kit.maps.convert import check_point_map
 from spectra_kit.maps.nearest import nearest
 from spectra_kit.maps.prepare import Prepared, curvatures, on_matched, truncated
 from spectra_kit.maps.result import Candidate, Match
-from spectra_kit.maps.subsample import neighbours
+from spectra_kit.maps.subsample import around
 from spectra_kit.maps.surface import changed, lengths_of
 
 Pairs = tuple[Ints, Ints]
@@ -89,23 +89,24 @@ def score_map(
             check_indices("landmarks", here, source.spectrum.n),
             check_indices("landmarks", there, target.spectrum.n),
         )
-    return scored(source, target, C, mirrored=mirrored, landmarks=landmarks, rough=rough)
+    return scored(source, target, C, mirrored, landmarks, rough=rough)
 
 
 def scored(
     source: Prepared,
     target: Prepared,
     functional_map: Floats,
-    *,
     mirrored: bool,
     landmarks: Pairs | None = None,
+    *,
     rough: bool = False,
     alignment: float | None = None,
 ) -> Candidate:
     """Return a map with its mismatches and score; the `alignment` counts where it is known."""
-    values = mismatches(
-        *(source, target, functional_map), mirrored=mirrored, landmarks=landmarks, rough=rough
-    )
+    values = _mismatches(source, target, functional_map, landmarks, rough)
+    kept = orientation_of(source, target, functional_map)
+    if kept is not None:
+        values["orientation"] = (1 + kept if mirrored else 1 - kept) / 2
     if alignment is not None:
         values["alignment"] = alignment
     return Candidate(
@@ -116,16 +117,14 @@ def scored(
     )
 
 
-def mismatches(
+def _mismatches(
     source: Prepared,
     target: Prepared,
     functional_map: Floats,
-    *,
-    mirrored: bool = False,
-    landmarks: Pairs | None = None,
-    rough: bool = False,
+    landmarks: Pairs | None,
+    rough: bool,
 ) -> dict[str, float]:
-    """Return what `score_map` tells of a map."""
+    """Return what `score_map` tells of a map, but for its orientation."""
     a, b = source.spectrum, target.spectrum
     k, few = len(functional_map), _ROUGH_SAMPLES
     every1, every2 = np.arange(a.n), np.arange(b.n)
@@ -155,9 +154,6 @@ def mismatches(
             curved1[there], curved2[forth]
         )
         values["curvature"] = float(np.sqrt(there_and_back))
-    kept = orientation_of(source, target, functional_map)
-    if kept is not None:
-        values["orientation"] = (1 + kept if mirrored else 1 - kept) / 2
     return values
 
 
@@ -177,13 +173,9 @@ def orientation_of(source: Prepared, target: Prepared, functional_map: Floats) -
     return float(np.vdot(carried, form) / (np.linalg.norm(carried) * np.linalg.norm(form)))
 
 
-def coverage_over_chance(source: Spectrum, target: Spectrum, point_map: Ints) -> float:
+def coverage_over_chance(source_mass: Floats, target_mass: Floats, point_map: Ints) -> float:
     """Return the area that a map reaches, over what as many random points would reach."""
-    return share_over_chance(source.mass / source.area, target.mass / target.area, point_map)
-
-
-def share_over_chance(source: Floats, target: Floats, point_map: Ints) -> float:
-    """Return the same from the shares of the area that points have, (n1,) and (n2,)."""
+    source, target = source_mass / source_mass.sum(), target_mass / target_mass.sum()
     thrown = min(1 / (target @ target), 1 / (source @ source))
     chance = float(source @ -np.expm1(-thrown * source))
     return float(source[np.unique(point_map)].sum()) / chance
@@ -208,11 +200,11 @@ def local_confidence(found: Match, source: Prepared, target: Prepared) -> Floats
     Examples
     --------
     >>> import spectra_kit as sk
-    >>> source, target, _ = sk.geometry.creature_pair(1000, 900, seed=1)
-    >>> a, b = (sk.prepare(sk.spectrum(mesh, 80), mesh) for mesh in (source, target))
-    >>> sure = sk.maps.local_confidence(sk.match(a, b), a, b)
+    >>> animal = sk.geometry.creature(600)
+    >>> a = sk.prepare(sk.spectrum(animal, 60), animal)
+    >>> sure = sk.maps.local_confidence(sk.match(a, a, mirrored=False), a, a)
     >>> sure.shape, bool(sure.mean() > 0.8)
-    ((900,), True)
+    ((600,), True)
     """
     for name, side in (("source", source), ("target", target)):
         if side.geometry is None:
@@ -234,8 +226,8 @@ def local_confidence(found: Match, source: Prepared, target: Prepared) -> Floats
     wave1, wave2 = here.wave[p], there.wave
     wave = (np.abs(wave1 - wave2) / (wave1 + wave2 + 1e-300)).mean(axis=1)
     curvature = np.abs(here.curvature[p] - there.curvature).mean(axis=1)
-    around = sparse.csr_array(neighbours(there.surface.oriented.faces, n) + sparse.eye_array(n))
-    mean = sparse.diags_array(1 / np.asarray(around.sum(axis=1)).ravel()) @ around
+    near = around(there.surface.oriented.faces, n)
+    mean = sparse.diags_array(1 / np.asarray(near.sum(axis=1)).ravel()) @ near
     seen = np.column_stack([wave, curvature, stretch])
     for _ in range(_ROUNDS):
         seen = mean @ seen

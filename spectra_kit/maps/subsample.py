@@ -117,6 +117,11 @@ def neighbours(faces: Ints, n: int) -> sparse.csr_array:
     return both
 
 
+def around(faces: Ints, n: int) -> sparse.csr_array:
+    """Return the same with each point as its own neighbour."""
+    return sparse.csr_array(neighbours(faces, n) + sparse.eye_array(n))
+
+
 def image(oriented: OrientedTriangles, closest: Ints, count: int) -> tuple[Ints, Floats]:
     """Return the triangles of the chosen points, (f, 3), and their weights.
 
@@ -145,8 +150,7 @@ def _lift(surface: Surface, chosen: Ints, closest: Ints, scale: Floats) -> spars
     Distances times the `scale` of each point are below 1 within reach.
     """
     n, count = len(closest), len(chosen)
-    around = neighbours(closest[surface.oriented.faces], count) + sparse.eye_array(count)
-    lift = sparse.csr_array(around.tocsr()[closest])
+    lift = sparse.csr_array(around(closest[surface.oriented.faces], count)[closest])
     i = np.repeat(np.arange(n), np.diff(lift.indptr))
     apart = surface.points[i] - surface.points[chosen[lift.indices]]
     squared = np.einsum("pr,pr->p", apart, apart) * scale[i] ** 2

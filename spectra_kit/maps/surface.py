@@ -19,6 +19,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit.eigen import Spectrum
+from spectra_kit.geodesics.edges import graph_of
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.operators.oriented import OrientedTriangles
 
@@ -64,12 +65,8 @@ class Surface(Rebuilt):
 
         What no way leads to, as single points of a cloud, counts as the farthest.
         """
-        edges, n = self.edges, len(self.points)
-        weights = lengths_of(self.points, edges)
-        graph = sparse.csr_array((weights, (edges[:, 0], edges[:, 1])), shape=(n, n))
-        ways = dijkstra(graph, directed=False, indices=points)
-        out: Floats = np.minimum(ways, ways[np.isfinite(ways)].max())
-        return out
+        ways = dijkstra(graph_of(self.mesh), directed=False, indices=points)
+        return np.minimum(ways, ways[np.isfinite(ways)].max())
 
     @cached_property
     def spacing(self) -> float:
@@ -79,8 +76,7 @@ class Surface(Rebuilt):
 
 def lengths_of(points: Floats, edges: Ints) -> Floats:
     """Return the lengths of edges (e, 2) between points (n, 3)."""
-    out: Floats = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
-    return out
+    return np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
 
 
 def changed(source: Floats, target: Floats, back: Ints, forth: Ints) -> float:
@@ -113,15 +109,15 @@ def outward_normals(points: Floats, oriented: OrientedTriangles) -> Floats:
     """
     i, j, k = oriented.faces.T
     across = np.cross(points[j] - points[i], points[k] - points[i]) * oriented.weights[:, None]
-    sums = np.column_stack(
-        [
-            np.bincount(oriented.faces.ravel(), np.repeat(across[:, r], 3), minlength=len(points))
-            for r in range(3)
-        ]
-    )
-    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
-    out: Floats = np.divide(sums, lengths, out=np.zeros_like(sums), where=lengths > 0)
-    return out
+    corners, n = oriented.faces.ravel(), len(points)
+    sums = np.column_stack([np.bincount(corners, np.repeat(x, 3), n) for x in across.T])
+    return unit_rows(sums)
+
+
+def unit_rows(rows: Floats) -> Floats:
+    """Return rows divided by their lengths; zero stays zero."""
+    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
+    return np.divide(rows, lengths, out=np.zeros_like(rows), where=lengths > 0)
 
 
 def smoothed_mean_curvature(
@@ -136,12 +132,12 @@ def smoothed_mean_curvature(
     """
     normals = outward_normals(points, oriented)
     coefficients = spectrum.project(points)
-    out = np.empty((spectrum.n, len(modes)))
-    for c, mode in enumerate(modes):
+    columns = []
+    for mode in modes:
         gain = spectrum.eigenvalues * np.exp(-spectrum.eigenvalues / spectrum.eigenvalues[mode])
         smooth = spectrum.eigenvectors @ (gain[:, None] * coefficients)
-        out[:, c] = np.einsum("nr,nr->n", smooth, normals)
-    return out
+        columns.append(np.einsum("nr,nr->n", smooth, normals))
+    return np.column_stack(columns)
 
 
 class Topology(NamedTuple):

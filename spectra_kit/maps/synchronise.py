@@ -27,11 +27,10 @@ from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from spectra_kit._core.threads import in_threads
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit.maps.calibration import score_of
 from spectra_kit.maps.nearest import nearest_columns
 from spectra_kit.maps.prepare import REFINED_K, Prepared
 from spectra_kit.maps.result import MatchOptions
-from spectra_kit.maps.score import mismatches
+from spectra_kit.maps.score import scored
 from spectra_kit.maps.zoomout import schedule
 
 Pair = tuple[int, int]
@@ -68,8 +67,7 @@ class Sampled(NamedTuple):
 
     def fit(self, values: Floats, k: int) -> Floats:
         """Return the coefficients on k modes of functions at the samples, (c, s, d): (c, k, d)."""
-        fitted: Floats = solve_triangular(self.R[:k, :k], self.Q[:, :k].T) @ values
-        return fitted
+        return np.asarray(solve_triangular(self.R[:k, :k], self.Q[:, :k].T) @ values)
 
 
 def coupled_zoomout(source: Sampled, target: Sampled, maps: Floats, lead: int) -> Floats:
@@ -142,23 +140,11 @@ def graph(distances: Floats, neighbours: int) -> list[Pair]:
     return sorted({(min(pair), max(pair)) for pair in pairs})
 
 
-def synchronised(
-    shapes: Sequence[Prepared],
-    distances: Floats,
-    neighbours: int,
-    matched: Callable[[int, int], Found],
-    options: MatchOptions,
-    joined: Callable[[int], object],
-) -> Frames:
-    """Return frames of connected surfaces that are some `distances` (N, N) apart.
+class Clusters:
+    """Connected surfaces that are some `distances` (N, N) apart, in clusters which grow into one.
 
-    `matched` matches a pair, i < j; `joined` is told how many surfaces have been joined.
+    `matched` matches a pair, i < j.
     """
-    return _Clusters(shapes, distances, matched, options).joined(neighbours, joined)
-
-
-class _Clusters:
-    """Surfaces in clusters: which grow into one."""
 
     def __init__(
         self,
@@ -176,7 +162,7 @@ class _Clusters:
         self._label = np.arange(len(shapes))
 
     def joined(self, neighbours: int, told: Callable[[int], object]) -> Frames:
-        """Join all."""
+        """Join all; `told` is told how many surfaces have been joined."""
         first = graph(self._distances, neighbours)
         for i, j in sorted(first, key=lambda pair: self._cost(*pair)):
             if self._label[i] != self._label[j]:
@@ -269,15 +255,10 @@ class _Clusters:
         return coupled_zoomout(self._samples[p], self._samples[q], maps, lead)
 
     def _log_cost(self, p: int, q: int, C: Floats, mirrored: bool, rough: bool) -> float:
-        values = mismatches(
-            *(self._shapes[p], self._shapes[q], C),
-            mirrored=mirrored,
-            rough=rough,
-        )
-        score = score_of(values)
+        found = scored(self._shapes[p], self._shapes[q], C, mirrored, rough=rough)
         # A map that was to keep the sides may turn them over as it grows.
-        turned = mirrored or values.get("orientation", 0.0) > 0.5
-        return float(np.log(score * (self._options.mirrored_by if turned else 1.0)))
+        turned = mirrored or found.mismatches.get("orientation", 0.0) > 0.5
+        return float(np.log(found.score * (self._options.mirrored_by if turned else 1.0)))
 
     def _fit(self, members: Iterable[int]) -> None:
         """Fit each frame to those of the nearest surfaces of its cluster."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -91,27 +92,16 @@ def zoomout(
     arrays = a.eigenvectors, b.eigenvectors, b.mass, C
     rows = None if samples is None else checked_samples(samples, a.n, b.n, k_final, seed)
     if device == "cpu":
-        refined = _zoom(*arrays, rows, k_final, step, _NUMPY)
-    else:
-        import torch
+        return Correspondence(*_zoom(*arrays, rows, k_final, step))
+    import torch
 
-        from spectra_kit._sparse.torch_device import check_device
+    from spectra_kit._sparse.torch_device import check_device
 
-        place = check_device(device)
-
-        A, B, mass, start = (torch.tensor(x, device=place) for x in map(np.array, arrays))
-        tools = _Tools(nearest_torch, torch.linalg.qr, _solve_torch)
-        on_device = _zoom(A, B, mass, start, rows, k_final, step, tools)
-        refined = tuple(x.cpu().numpy() for x in on_device)
-    return Correspondence(*refined)
-
-
-class _Tools(NamedTuple):
-    """What the loop needs of NumPy or torch beyond operators."""
-
-    find: Callable[..., Any]
-    qr: Callable[[Any], tuple[Any, Any]]
-    solve: Callable[[Any, Any], Any]
+    place = check_device(device)
+    tensors = (torch.tensor(np.array(x), device=place) for x in arrays)
+    solve = partial(torch.linalg.solve_triangular, upper=True)
+    found = _zoom(*tensors, rows, k_final, step, nearest_torch, torch.linalg.qr, solve)
+    return Correspondence(*(x.cpu().numpy() for x in found))
 
 
 def _zoom(
@@ -122,38 +112,31 @@ def _zoom(
     samples: tuple[Ints, Ints] | None,
     k_final: int,
     step: int,
-    tools: _Tools,
+    find: Callable[..., Any] = nearest,
+    qr: Callable[..., Any] = np.linalg.qr,
+    solve: Callable[..., Any] = solve_triangular,
 ) -> tuple[Any, Any]:
-    """Return point map and functional map, from arrays or tensors."""
+    """Return point map and functional map, from arrays or, with other tools, from tensors."""
     weighted = mass[:, None] * B
 
     def project(values: Any, k: int) -> Any:
         return weighted[:, :k].T @ values
 
     def fit(values: Any, k: int) -> Any:
-        return tools.solve(R[:k, :k], Q[:, :k].T @ values)
+        return solve(R[:k, :k], Q[:, :k].T @ values)
 
     rows1, rows2, represent = A, B, project
     if samples is not None:
         rows1, rows2, represent = A[samples[0]], B[samples[1]], fit
-        Q, R = tools.qr(rows2)
+        Q, R = qr(rows2)
     for k1, k2 in schedule(C.shape, k_final, step):
-        p = tools.find(rows2[:, : len(C)], rows1[:, : C.shape[1]] @ C.T, exact=False)
+        p = find(rows2[:, : len(C)], rows1[:, : C.shape[1]] @ C.T, exact=False)
         C = represent(rows1[p][:, :k1], k2)
     if samples is not None:  # one step on all points evens out the noise of the samples
-        p = tools.find(B[:, : len(C)], A[:, : C.shape[1]] @ C.T, exact=False)
+        p = find(B[:, : len(C)], A[:, : C.shape[1]] @ C.T, exact=False)
         C = project(A[p], k_final)
-    p = tools.find(B[:, : len(C)], A[:, : C.shape[1]] @ C.T, exact=True)
+    p = find(B[:, : len(C)], A[:, : C.shape[1]] @ C.T, exact=True)
     return p, project(A[p], k_final)
-
-
-def _solve_torch(R: Any, Y: Any) -> Any:
-    import torch
-
-    return torch.linalg.solve_triangular(R, Y, upper=True)
-
-
-_NUMPY = _Tools(nearest, np.linalg.qr, solve_triangular)
 
 
 @checked

@@ -298,8 +298,6 @@ def test_bad_input_is_refused(bumps):
         ("sources", "hold integers", features.diffusion_distances, (s, [0.5]), 1.0),
         ("time", "be positive and finite", features.diffusion_distances, (s, [0]), 0.0),
         ("start", "be in [0, 641], got -1", features.farthest_points, (s, 3), -1),
-        ("normalize", "be 'area', 'weyl', 'first' or None", shape_dna, (s,), "volume"),
-        ("weight", "be 'index', 'inverse' or", shape_dna_distances, ([[1.0]],), "weyl"),
         ("descriptors", "have no constant column, got one in column 0", normalize_descriptors,
          (s, np.full((s.n, 1), 0.1)), True),
     ):  # fmt: skip

@@ -47,17 +47,21 @@ K = 36  # of the sphere: whole eigenspaces
 ORDER = np.random.default_rng(0).permutation(900)
 
 
-def grid(n=40, width=2.0, height=1.0):
+def triangles(index):
+    """Two for each square of a grid of points."""
+    a, b, c, d = (
+        x.ravel() for x in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:])
+    )
+    return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+
+
+def grid(n, width=2.0, height=1.0):
     """A flat sheet, and the same rolled into half a tube."""
     u, v = np.meshgrid(np.linspace(0, width, 2 * n), np.linspace(0, height, n), indexing="ij")
     flat = np.stack([u, v, 0 * u], -1).reshape(-1, 3)
     angle = np.pi * u / width
     rolled = np.stack([np.cos(angle), np.sin(angle), v * np.pi / width], -1).reshape(-1, 3)
-    index = np.arange(2 * n * n).reshape(2 * n, n)
-    a, b, c, d = (
-        x.ravel() for x in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:])
-    )
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    faces = triangles(np.arange(2 * n * n).reshape(2 * n, n))
     return TriangleMesh(flat, faces), TriangleMesh(rolled, faces)
 
 
@@ -251,13 +255,14 @@ def test_what_is_no_batch_and_no_option_is_refused():
         (lambda: WaveKernelSignature(width=0.0), "`width` must be positive"),
         (lambda: GlobalPointSignature(count=0), "`count` must be at least 1"),
         (lambda: PositionalEncoding(levels=0), "`levels` must be at least 1"),
-        (lambda: Coordinates(frame="other"), "`frame` must be 'principal' or 'given'"),
         (lambda: BasisFunctions(subspace=sk.RandomBasis()), "`subspace` must be of functions"),
     ):
         with pytest.raises(sk.SpectraKitError, match=told):
             make()
     with pytest.raises(InvalidInputError, match="`k` must be at least 1"):
         embed(creature(500), WaveKernelSignature(), k=0)
+    with pytest.raises(InvalidInputError, match="`k` must be more than first = 40, got 36"):
+        embed(creature(500), WaveKernelSignature(first=40), k=36)
 
 
 def test_an_embedding_of_ones_own_is_one_and_must_be_finite():
@@ -287,11 +292,7 @@ def test_a_whole_surface_is_the_quantiles_by_area_of_its_points():
     x = np.concatenate([np.linspace(0, 1, 81), np.linspace(1, 2, 41)[1:]])
     u, v = np.meshgrid(x, np.linspace(0, 0.5, 21), indexing="ij")
     points = np.stack([u, v, 0 * u], -1).reshape(-1, 3)
-    index = np.arange(len(points)).reshape(u.shape)
-    a, b, c, d = (
-        i.ravel() for i in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:])
-    )
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    faces = triangles(np.arange(len(points)).reshape(u.shape))
     found = embed_shape(TriangleMesh(points, faces), Coordinates(), k=8).reshape(3, 10)
     levels = (np.arange(10) + 0.5) / 10
     np.testing.assert_allclose(found[0], 2 * levels - 1, atol=0.01)  # along, in the unit box
@@ -307,11 +308,7 @@ def test_a_wave_signature_without_its_lowest_bands_minds_a_bridge_less():
     radius = 1 + 0.12 * np.cos(t)
     points = np.stack([radius * np.cos(a), radius * np.sin(a), 0.12 * np.sin(t)], -1)
     index = np.arange(a.size).reshape(a.shape)
-    ahead = np.roll(index, -1, axis=1)
-    one, two = index[:-1], index[1:]
-    three, four = ahead[1:], ahead[:-1]
-    quads = [(one, two, three), (one, three, four)]
-    faces = np.concatenate([np.stack([i.ravel() for i in q], 1) for q in quads])
+    faces = triangles(np.hstack([index, index[:, :1]]))  # closed around the tube
     bridge = [[index[0, 0], index[-1, 0], index[0, 1]]]
     open_, joined = (
         TriangleMesh(points.reshape(-1, 3), f) for f in (faces, np.concatenate([faces, bridge]))
@@ -324,8 +321,3 @@ def test_a_wave_signature_without_its_lowest_bands_minds_a_bridge_less():
         one, two = (embed_shape(mesh, waves, k=64) for mesh in (open_, joined))
         apart.append(np.abs(one - two).mean() / one.std())
     assert apart[1] < 0.5 * apart[0], apart
-
-
-def test_more_modes_than_the_first_are_needed():
-    with pytest.raises(InvalidInputError, match="`k` must be more than first = 40, got 36"):
-        embed(creature(600), WaveKernelSignature(first=40), k=36, solver=Arpack())

@@ -158,7 +158,9 @@ def test_round_surfaces_are_ambiguous_until_told(radius) -> None:
 
 def test_two_parts_are_not_taken_for_wholes(monkeypatch) -> None:
     """Nor a part for a whole; but small holes hide nothing."""
-    monkeypatch.setattr(partial, "_TRIED", 2)
+    for name, value in (("_TRIED", 2), ("_REFINED", 1), ("_ENDS", 4)):
+        monkeypatch.setattr(partial, name, value)
+    monkeypatch.setattr(partial, "_SHARES", partial._SHARES[::3])
     one, other, rest = creature(700, pose=1), creature(700, pose=2), creature(700, pose=0)
     front, back = part_of(one, rest.points[:, 0] < 0.1), part_of(other, rest.points[:, 0] > -0.1)
     for pair in ((front, back), (front, other)):

@@ -158,7 +158,6 @@ def test_maps_must_fit(spectrum, copy, fine) -> None:
         ("functional_map", "have shape (k2, k1)", to_points, *pair, np.eye(31)),
         ("functional_map", "be finite", to_points, *pair, np.full((3, 3), np.nan)),
         ("faces of the source", "be in [0,", precise_map, *pair, np.eye(3), [[0, 1, N]]),
-        ("precise", "be a scipy", from_precise, *pair, [0, 1, 2]),
         ("data of precise", "be finite", from_precise, *pair, hollow),
         ("precise", f"have shape ({N},", from_precise, *pair, narrow),
     ):

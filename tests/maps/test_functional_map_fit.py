@@ -11,12 +11,12 @@ from spectra_kit.features import normalize_descriptors, wave_kernel_signature
 from spectra_kit.geometry import sphere
 from spectra_kit.maps import (
     FitWeights,
-    _energy,
+    fit,
     fit_functional_map,
     functional_map_from_point_map,
     point_map_from_functional_map,
 )
-from spectra_kit.maps._energy import (
+from spectra_kit.maps.fit import (
     Commuting,
     Preserved,
     commuting,
@@ -101,7 +101,7 @@ def test_the_minimum_is_that_of_the_quadratic_program(k1, k2, dense, with_operat
 
 
 def test_conjugate_gradients_that_do_not_converge_say_so(monkeypatch) -> None:
-    monkeypatch.setattr(_energy, "_MAX_STEPS", 1)
+    monkeypatch.setattr(fit, "_MAX_STEPS", 1)
     with pytest.raises(ConvergenceError, match=r"after 1 steps; raise `commutativity`"):
         minimise(*random_energy(np.random.default_rng(0), 5, 6), dense=0)
 
@@ -220,7 +220,6 @@ def test_what_cannot_be_fitted_is_refused(animal, bent, symmetric) -> None:
         ("source_descriptors` and `target_descriptors", "have the same number of columns",
          {"target_descriptors": g[:, 1:]}),
         ("k of the source", "be in [1, 40]", {"k": 41}),
-        ("mask", "be 'resolvent' or 'standard'", {"mask": "soft"}),
         ("oriented", "be given where", {"weights": turned}),
         ("oriented", "be on the 500 and 500 points", {"weights": turned, "oriented": pair}),
         ("landmarks", "be two lists of one length, at least 1", {"landmarks": ([], [])}),
