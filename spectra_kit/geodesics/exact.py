@@ -111,18 +111,9 @@ def exact_distances(
     label = mesh.component_labels
     reachable = ends[np.isin(label[ends], label[checked.vertices])]
     soup, unit = _soup(mesh)
-    unit = unit[ends]
     most = _WINDOWS * (len(mesh.faces) + mesh.n)
-    if propagate(soup, np.array(checked.vertices), np.unique(reachable), distances, most) > most:
-        raise ConvergenceError(
-            f"exact paths need more than {most} windows; `mesh` has triangles so thin that they"
-            " go round and round: remesh, or take geodesic_distance(mesh, sources)",
-            partial=_in_unit(distances[ends], unit),
-        )
-    return _in_unit(distances[ends], unit)
-
-
-def _in_unit(distances: Floats, unit: Floats) -> Floats:
+    count = propagate(soup, np.array(checked.vertices), np.unique(reachable), distances, most)
+    distances, unit = distances[ends], unit[ends]
     with np.errstate(over="ignore", invalid="ignore"):  # unreached and of no size: inf * 0
         found = np.where(np.isfinite(distances), distances * unit, np.inf)
     if (np.isfinite(distances) & ~np.isfinite(found)).any():
@@ -131,6 +122,12 @@ def _in_unit(distances: Floats, unit: Floats) -> Floats:
             "have distances that are numbers",
             f"some above {np.finfo(float).max:.1e}",
             advice="choose another unit of length",
+        )
+    if count > most:
+        raise ConvergenceError(
+            f"exact paths need more than {most} windows; `mesh` has triangles so thin that they"
+            " go round and round: remesh, or take geodesic_distance(mesh, sources)",
+            partial=found,
         )
     return found
 

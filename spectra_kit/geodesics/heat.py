@@ -361,10 +361,29 @@ class HeatGeodesics:
         clock: Clock,
     ) -> _Ready:
         """Factorise what both steps need, side by side."""
-        kinds = self._kinds(system)
+        kinds, stiffness = self._kinds(system), system.stiffness
+        kernel = ConstantKernel(system.labels - system.labels.min())
+        direct = isinstance(options, Direct)
+        elimination = system.elimination if direct else None
         tasks = [
-            partial(self._poisson, system, options),
-            *(partial(self._step, system, options, *kind) for kind in kinds),
+            partial(GroundedCholesky, stiffness, kernel, elimination=elimination)
+            if isinstance(options, Direct)
+            else partial(
+                IterativePoisson, stiffness, kernel, options, self._spectrum, system.order
+            ),
+            *(
+                partial(
+                    HeatStep,
+                    stiffness,
+                    system.mass,
+                    system.points,
+                    duration=self._time_coefficient * float(COARSER) ** (2 * size),
+                    inside=system.inside if condition == "dirichlet" else None,
+                    direct=direct,
+                    elimination=elimination,
+                )
+                for size, condition in kinds
+            ),
         ]
         poisson, *made = in_threads(call, [(task,) for task in tasks])
         steps: dict[int, dict[Boundary, HeatStep]] = {}
@@ -374,41 +393,14 @@ class HeatGeodesics:
 
     def _kinds(self, system: System) -> list[tuple[int, Boundary]]:
         """Return the sizes of heat steps, each with the boundary conditions that take part."""
-        conditions = self._conditions(system)
-        if not conditions:
+        conditions: list[Boundary] = [self._boundary]
+        if system.inside.all():
+            conditions = ["neumann"]
+        elif self._boundary == "average":
+            conditions = ["neumann", "dirichlet"] if system.inside.any() else ["neumann"]
+        elif self._boundary == "dirichlet" and not system.inside.any():
             raise _cold()
         return [(int(k), one) for k in np.union1d(0, system.sizes) for one in conditions]
-
-    def _conditions(self, system: System) -> tuple[Boundary, ...]:
-        """Return the boundary conditions that take part."""
-        if system.inside.all():
-            return ("neumann",)
-        both: tuple[Boundary, ...] = ("neumann", "dirichlet")
-        wanted = both if self._boundary == "average" else (self._boundary,)
-        return wanted if system.inside.any() else tuple(c for c in wanted if c == "neumann")
-
-    def _step(
-        self, system: System, options: Direct | Iterative, size: int, condition: Boundary
-    ) -> HeatStep:
-        direct = isinstance(options, Direct)
-        return HeatStep(
-            system.stiffness,
-            system.mass,
-            system.points,
-            duration=self._time_coefficient * float(COARSER) ** (2 * size),
-            inside=system.inside if condition == "dirichlet" else None,
-            direct=direct,
-            elimination=system.elimination if direct else None,
-        )
-
-    def _poisson(
-        self, system: System, options: Direct | Iterative
-    ) -> GroundedCholesky | IterativePoisson:
-        stiffness = system.stiffness
-        kernel = ConstantKernel(system.labels - system.labels.min())
-        if isinstance(options, Direct):
-            return GroundedCholesky(stiffness, kernel, elimination=system.elimination)
-        return IterativePoisson(stiffness, kernel, options, self._spectrum, system.order)
 
     def _heats(
         self, system: System, steps: Mapping[Boundary, HeatStep], heated: Sequence[Floats]
@@ -428,7 +420,7 @@ class HeatGeodesics:
                     if len(np.setdiff1d(labels, system.labels[one > 0])):
                         raise _cold()
             some = [i for i, one in enumerate(warm) if one.any()]
-            for i, heat in zip(some, step.solve_all([warm[i] for i in some]), strict=True):
+            for i, heat in zip(some, step.solve([warm[i] for i in some]), strict=True):
                 found[i].append(heat)
         if not all(found):
             raise _cold()

@@ -25,7 +25,7 @@ from spectra_kit._core.validate import (
 )
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geodesics.edges import distances_of_pairs
+from spectra_kit.geodesics.edges import pair_distances
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.maps.convert import at_unit_area, check_point_map, induced
 from spectra_kit.maps.nearest import nearest
@@ -222,7 +222,12 @@ def geodesic_errors(
 
 
 def _scaled_errors(
-    mesh: TriangleMesh, point_map: ArrayLike, truth: Truth, method: str, *, symmetric: bool = True
+    mesh: TriangleMesh,
+    point_map: ArrayLike,
+    truth: Truth,
+    method: Literal["edges", "exact"],
+    *,
+    symmetric: bool = True,
 ) -> tuple[Ints, list[Floats]]:
     """Return the target points of a truth, and the errors there: direct, and symmetric if known."""
     p = check_point_map("point_map", point_map, mesh.n)
@@ -230,7 +235,7 @@ def _scaled_errors(
     goals = [truth.source]
     if symmetric and truth.symmetric is not None:
         goals.append(truth.symmetric)
-    found = distances_of_pairs(mesh, np.tile(p[at], len(goals)), _goals(mesh, goals), method)
+    found = pair_distances(mesh, np.tile(p[at], len(goals)), _goals(mesh, goals), method=method)
     return at, list(100 * found.reshape(len(goals), -1) / np.sqrt(mesh.area))
 
 
@@ -421,7 +426,7 @@ def bijectivity_errors(mesh: TriangleMesh, point_map: ArrayLike, back: ArrayLike
             q.shape,
             advice="are the two maps exchanged?",
         )
-    found = distances_of_pairs(mesh, np.arange(mesh.n), p[q])
+    found = pair_distances(mesh, np.arange(mesh.n), p[q])
     return np.asarray(100 * found / np.sqrt(mesh.area))
 
 

@@ -29,7 +29,7 @@ from spectra_kit._sparse.ritz import ritz_pairs
 from spectra_kit.eigen import Spectrum, spectrum
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.features import wave_kernel_signature
-from spectra_kit.geodesics.edges import graph_of
+from spectra_kit.geodesics.edges import edge_graph
 from spectra_kit.geometry import Geometry, TriangleMesh, largest_component
 from spectra_kit.maps.calibration import CONVINCING_PART
 from spectra_kit.maps.convert import induced
@@ -278,7 +278,7 @@ class _PartSearch:
         surface = self.part.surface
         mesh = self.part.surface.mesh
         depth = dijkstra(
-            graph_of(mesh), directed=False, indices=mesh.boundary_vertices, min_only=True
+            edge_graph(mesh), directed=False, indices=mesh.boundary_vertices, min_only=True
         )
         held = depth >= min(_LOOSE, np.median(depth))
         return replace(surface, points=surface.points * area**0.5, mass=surface.mass * area * held)
@@ -307,7 +307,7 @@ def covered_by(part: Prepared, whole: Prepared, bent: Contact) -> Bools:
     itself hardly touches.
     """
     mesh, points = part.surface.mesh, whole.surface.points
-    steps = _links(graph_of(mesh))
+    steps = _links(edge_graph(mesh))
     middle = (steps @ bent.points) / (steps @ np.ones(mesh.n))[:, None]
     border = np.isin(np.arange(mesh.n), mesh.boundary_vertices)
     there = bent.points[bent.back]
@@ -315,7 +315,7 @@ def covered_by(part: Prepared, whole: Prepared, bent: Contact) -> Bools:
     step = ((points - there - 0.5 * outwards) * outwards).sum(axis=1)
     beyond = border[bent.back] & (step > 0)
     near = np.flatnonzero(~beyond & (np.linalg.norm(points - there, axis=1) < _REACH))
-    links = _links(graph_of(whole.surface.mesh))
+    links = _links(edge_graph(whole.surface.mesh))
     _, piece = connected_components(links[near][:, near], directed=False)
     touched = np.zeros(len(points))
     touched[bent.there] = 1.0
@@ -441,7 +441,7 @@ def limb_ends(whole: Prepared) -> Ints:
     """
     spectrum = whole.spectrum.nonzero()
     far = ((spectrum.eigenvectors / spectrum.eigenvalues) ** 2).sum(axis=1)
-    graph = graph_of(whole.surface.mesh)
+    graph = edge_graph(whole.surface.mesh)
     around = np.maximum.reduceat(far[graph.indices], graph.indptr[:-1])
     tops = np.flatnonzero(far >= around)
     tops = tops[np.argsort(-far[tops], kind="stable")]
@@ -456,7 +456,7 @@ def limb_ends(whole: Prepared) -> Ints:
 def _families(whole: Prepared) -> Iterator[list[Region]]:
     """Yield the whole, then regions beyond, and within, a distance of one or two ends of limbs."""
     yield [_piece(whole, whole.surface.mesh)]
-    mass, graph = whole.spectrum.mass, graph_of(whole.surface.mesh)
+    mass, graph = whole.spectrum.mass, edge_graph(whole.surface.mesh)
     ends = limb_ends(whole)
     distances = dijkstra(graph, directed=False, indices=ends)
     for count in (1, 2):

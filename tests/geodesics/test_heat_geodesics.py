@@ -110,7 +110,8 @@ def test_heat_is_right_where_float64_cannot_hold_it() -> None:
     left = (n - 0.5 - np.arange(n)) * rate
     log = np.logaddexp(left, -left)
     for direct in (True, False):
-        heat = HeatStep(path, np.ones(n), points, duration=duration, direct=direct).solve(heated)
+        step = HeatStep(path, np.ones(n), points, duration=duration, direct=direct)
+        (heat,) = step.solve([heated])
         assert heat.log[-1] < -4000  # exp of it underflows
         assert np.abs((heat.log - heat.log[0]) - (log - log[0])).max() < 1e-7
         assert heat.backward_error <= 1e-10
