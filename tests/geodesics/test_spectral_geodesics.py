@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import creature, refused, two_parts
+from conftest import creature, joined, moved, refused, two_parts
 from geodesic_truths import angles, by_libigl, relative_error
 from scipy.linalg import expm
 
@@ -181,9 +181,7 @@ def test_a_second_component_changes_nothing(animal):
     """Modes, mixed or not, of another surface do not reach across."""
     mesh, triangulation, spectrum = animal
     n = mesh.n
-    points = np.vstack([mesh.points, mesh.points + [50.0, 0, 0]])
-    twice = TriangleMesh(points, np.vstack([mesh.faces, mesh.faces + n]))
-    double = intrinsic_delaunay(twice)
+    double = intrinsic_delaunay(joined(mesh, moved(mesh, 50, 0, 0)))
     modes = eigensolve(double.laplacian, 200)
     found = spectral_distance(modes, double, 7)
     assert found[:n] == pytest.approx(spectral_distance(spectrum, triangulation, 7), rel=1e-4)

@@ -81,7 +81,6 @@ def test_a_view_reaches_the_camera(plot):
         (Page, {"dpi": 5}, "dpi", "[10, 2400]", "5"),
         (View, {"turn": np.inf}, "turn", "finite number of degrees", "inf"),
         (panels, {"rows": [[Panel(values=ONES[:3], limit=1.0)]]}, "values", r"\(642,\)", "3"),
-        (panels, {"rows": [[Panel(values=ONES * np.nan, limit=1.0)]]}, "values", "finite", "NaN"),
         (panels, {"rows": []}, "rows", "table of 1 columns", ""),
         (panels, {"columns_named": ["a", "b"]}, "rows", "table of 2 columns", r"\[1\]"),
         (panels, {"rows_named": ["a", "b"]}, "rows_named", "1 names", "2"),
@@ -120,7 +119,6 @@ def test_a_view_reaches_the_camera(plot):
         (signatures, {"points": [642]}, "points", r"in \[0, 642\)", "642"),
         (signatures, {"points": [1, 1]}, "points", "one to 9 different", r"\[1, 1\]"),
         (signatures, {"shown": np.empty(0, int)}, "shown", "one to 9 different", r"\[\]"),
-        (film, {"modes": [9]}, "modes", r"in \[0, 8\]", "9"),
         (film, {"amplitude": -1.0}, "amplitude", "finite and >= 0", "-1"),
         (film, {"width": 3}, "width", "at least 16", "3"),
         (film, {"fps": 0}, "fps", "positive", "0"),
@@ -272,13 +270,6 @@ def test_short_numbers(value, text):
     assert short(value) == text
 
 
-def without(fake, tmp_path, monkeypatch):
-    """Put a `pyvista` in front of the real one, for new processes only."""
-    (tmp_path / "pyvista.py").write_text(fake)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    render.end_drawing()
-
-
 def test_a_geometry_may_be_a_file_and_so_may_the_picture(tmp_path):
     lone = TriangleMesh(SQUARE.points[:3], [[0, 1, 2]])
     write(lone, mesh := tmp_path / "lone.obj")
@@ -399,7 +390,7 @@ def test_a_signal_while_another_process_draws_ends_this_one_by_it(tmp_path):
     assert process.returncode == -signal.SIGTERM
 
 
-BACKENDS = {"module://matplotlib_inline.backend_inline": "", "no_backend": "", "svg": "svg"}
+BACKENDS = {"no_backend": "", "svg": "svg"}
 DRAWS = """
 import sys
 from spectra_kit import Spectrum, show
@@ -452,13 +443,14 @@ def test_most_animals_that_lie_on_their_backs_are_turned_over(real_shapes):
     # SMAL's feet point along y.
     folder = real_shapes.parent / "smal_r"
     upright = []
-    for path in sorted(folder.glob("*.npz")):
+    for path in sorted(folder.glob("*.npz"))[::3]:
         with np.load(path) as data:
             upright.append(View().rotation(TriangleMesh(data["V"], data["F"]))[1, 1] < -0.9)
     assert np.mean(upright) > 0.5
 
 
-def test_a_mesh_is_drawn_plain_and_from_where_it_is_asked(tmp_path):
+def test_a_mesh_is_drawn_plain_and_from_where_it_is_asked(tmp_path, monkeypatch):
+    monkeypatch.setattr("spectra_kit.show.thumbnails._WIDEST", 0.3)  # inches: a vertex to a pixel
     animal = creature(600)
     first, other = (
         animal.plot(tmp_path / f"{name}.png", view=view).path.read_bytes()
