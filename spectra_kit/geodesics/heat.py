@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial, reduce
 from operator import call
@@ -23,7 +23,7 @@ from spectra_kit._sparse.grounded import GroundedCholesky
 from spectra_kit._sparse.solution import LinearSolution
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import ConvergenceError, DoubtfulDistanceWarning, InvalidInputError
-from spectra_kit.geodesics.exact import EXACT, exact_field, exact_or_none
+from spectra_kit.geodesics.exact import EXACT, exact_or_none
 from spectra_kit.geodesics.heat_step import Heat, HeatStep
 from spectra_kit.geodesics.result import DistanceField
 from spectra_kit.geodesics.solvers import (
@@ -35,7 +35,6 @@ from spectra_kit.geodesics.solvers import (
 )
 from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
 from spectra_kit.geodesics.system import COARSER, System
-from spectra_kit.geometry.seams import warn_of_seams
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 
@@ -332,17 +331,18 @@ class HeatGeodesics:
     def _prepare(self, component: int | None) -> _Ready:
         """Choose how to solve, and prepare it."""
         clock, (options, reason) = Clock(), self._chosen
-        system = System.of(self.triangulation, component)
-        if not isinstance(options, Direct):
-            return self._factorised(system, options, reason, 0.0, clock)
-        gigabytes = (1 + len(self._kinds(system))) * system.elimination.gigabytes
-        if isinstance(self._solver, WithinMemory):
-            options, reason = self._solver.choose(len(system.order), gigabytes)
-            if not isinstance(options, Direct):  # whose modes are those of all points
-                if component is not None:
-                    system = System.of(self.triangulation)
-                there = self._prepared.get(None)
-                return there or self._factorised(system, options, reason, 0.0, clock)
+        system, gigabytes = System.of(self.triangulation, component), 0.0
+        if isinstance(options, Direct):
+            gigabytes = (1 + len(self._kinds(system))) * system.elimination.gigabytes
+            if isinstance(self._solver, WithinMemory):
+                options, reason = self._solver.choose(len(system.order), gigabytes)
+        if isinstance(options, Iterative):  # with modes of all points
+            if None in self._prepared:
+                return self._prepared[None]
+            gigabytes = 0.0
+            if component is not None:
+                system = System.of(self.triangulation)
+        elif isinstance(self._solver, WithinMemory):
             held = sum(ready.gigabytes for ready in self._prepared.values())
             for other, ready in list(self._prepared.items()):  # those asked first go first
                 if held + gigabytes <= self._solver.memory:
@@ -350,46 +350,41 @@ class HeatGeodesics:
                 held -= ready.gigabytes
                 if ready.gigabytes:
                     del self._prepared[other]
-        return self._factorised(system, options, reason, gigabytes, clock)
+        steps, poisson = self._factorised(system, options)
+        return _Ready(system, steps, poisson, reason, gigabytes, clock.total)
 
     def _factorised(
-        self,
-        system: System,
-        options: Direct | Iterative,
-        reason: str,
-        gigabytes: float,
-        clock: Clock,
-    ) -> _Ready:
+        self, system: System, options: Direct | Iterative
+    ) -> tuple[dict[int, dict[Boundary, HeatStep]], GroundedCholesky | IterativePoisson]:
         """Factorise what both steps need, side by side."""
         kinds, stiffness = self._kinds(system), system.stiffness
         kernel = ConstantKernel(system.labels - system.labels.min())
-        direct = isinstance(options, Direct)
-        elimination = system.elimination if direct else None
-        tasks = [
-            partial(GroundedCholesky, stiffness, kernel, elimination=elimination)
-            if isinstance(options, Direct)
-            else partial(
-                IterativePoisson, stiffness, kernel, options, self._spectrum, system.order
-            ),
-            *(
-                partial(
-                    HeatStep,
-                    stiffness,
-                    system.mass,
-                    system.points,
-                    duration=self._time_coefficient * float(COARSER) ** (2 * size),
-                    inside=system.inside if condition == "dirichlet" else None,
-                    direct=direct,
-                    elimination=elimination,
-                )
-                for size, condition in kinds
-            ),
+        elimination = None
+        second: Callable[[], GroundedCholesky | IterativePoisson]
+        if isinstance(options, Direct):
+            elimination = system.elimination
+            second = partial(GroundedCholesky, stiffness, kernel, elimination=elimination)
+        else:
+            arguments = stiffness, kernel, options, self._spectrum, system.order
+            second = partial(IterativePoisson, *arguments)
+        first = [
+            partial(
+                HeatStep,
+                stiffness,
+                system.mass,
+                system.points,
+                duration=self._time_coefficient * float(COARSER) ** (2 * size),
+                inside=system.inside if condition == "dirichlet" else None,
+                direct=isinstance(options, Direct),
+                elimination=elimination,
+            )
+            for size, condition in kinds
         ]
-        poisson, *made = in_threads(call, [(task,) for task in tasks])
+        poisson, *made = in_threads(call, [(task,) for task in (second, *first)])
         steps: dict[int, dict[Boundary, HeatStep]] = {}
         for (size, condition), step in zip(kinds, made, strict=True):
             steps.setdefault(size, {})[condition] = step
-        return _Ready(system, steps, poisson, reason, gigabytes, clock.total)
+        return steps, poisson
 
     def _kinds(self, system: System) -> list[tuple[int, Boundary]]:
         """Return the sizes of heat steps, each with the boundary conditions that take part."""
@@ -470,65 +465,3 @@ def _cold() -> InvalidInputError:
         "not all lie on the boundary of their component, which boundary='dirichlet' keeps cold",
         advice="use 'neumann' or 'average'",
     )
-
-
-@checked
-def geodesic_distance(
-    geometry: Geometry | IntrinsicTriangulation,
-    sources: SourcesLike,
-    *,
-    spectrum: Spectrum | None = None,
-    weights: ArrayLike | None = None,
-    solver: Solver = WithinMemory(),  # noqa: B008
-    time_coefficient: float = 1.0,
-    boundary: Boundary = "neumann",
-) -> DistanceField:
-    """Measure distances to one set of sources; for several sets keep a `HeatGeodesics`.
-
-    Parameters
-    ----------
-    geometry : TriangleMesh, PointCloud or IntrinsicTriangulation
-        Of n points.
-    sources : int, FacePoint, sequence or array of these, mask, or Sources
-        See `check_sources`.
-    spectrum : Spectrum, optional
-        Modes of the geometry, to be quicker.
-    weights : array_like of shape (s,), optional
-        Heat that each source emits, 1 by default.
-    solver : Direct, Iterative or WithinMemory, default WithinMemory()
-        How linear systems are solved. With the default, none is on a mesh of at most 2,000
-        vertices: they take `exact_distances`, unless a source lies inside a face or another of
-        the options below is given.
-    time_coefficient, boundary
-        As of `HeatGeodesics`.
-
-    Returns
-    -------
-    DistanceField
-        The distances, and how they were found.
-
-    See Also
-    --------
-    exact_distances : Of the polyhedron, exactly.
-    spectral_distance : Roughly, from modes alone.
-    spectra_kit.geodesics.pair_distances : Between pairs of vertices, along edges or exact.
-    spectra_kit.geodesics.distance_matrix : From many sources, or all points.
-
-    Examples
-    --------
-    >>> import spectra_kit as sk
-    >>> sk.geodesic_distance(sk.geometry.rectangle(n=1000).geometry, 0).choice
-    'exact: at most 2000 vertices'
-    >>> sk.geodesic_distance(sk.geometry.rectangle(n=3000).geometry, 0).choice
-    'direct: factors of 3... points fit into 4 GiB'
-    """
-    plain = isinstance(solver, WithinMemory) and time_coefficient == 1 and boundary == "neumann"
-    if plain and spectrum is None and weights is None:
-        found = exact_field(geometry, sources)
-        if found is not None and isinstance(geometry, TriangleMesh):
-            warn_of_seams(geometry)  # as operators do, of which there is none here
-            return found
-    geodesics = HeatGeodesics(
-        geometry, spectrum, solver=solver, time_coefficient=time_coefficient, boundary=boundary
-    )
-    return geodesics.distance(sources, weights=weights)
