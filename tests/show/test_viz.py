@@ -10,10 +10,10 @@ from functools import partial
 
 import numpy as np
 import pytest
-from drawing import BALL, SQUARE, borders_are_white, can_draw, draw, page  # noqa: F401
+from drawing import BALL, SPECTRUM, SQUARE, borders_are_white, can_draw, draw, page  # noqa: F401
 from scipy.spatial.transform import Rotation
 
-from spectra_kit import eigensolve, robust_laplacian, show
+from spectra_kit import show
 from spectra_kit.eigen.metrics import compare_spectra
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
 from spectra_kit.geometry import PointCloud, TriangleMesh, creature, rectangle, sphere, write
@@ -24,7 +24,6 @@ from spectra_kit.show.render import ball_diameter
 
 SHEET = rectangle(n=200).geometry.points
 ONES, SAME = np.ones(BALL.n), np.arange(BALL.n)
-SPECTRUM = eigensolve(robust_laplacian(BALL), 9)
 PANEL = Panel(values=ONES, limit=1.0)
 PAIR = show.MatchedPair(source=BALL, target=BALL, point_map=SAME)
 TIMES = np.arange(1.0, 9)
