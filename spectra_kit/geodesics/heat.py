@@ -192,8 +192,7 @@ class HeatGeodesics:
         for at once, and their seconds are an even share of what that took. All sources are checked
         first.
         """
-        checked = [check_sources(one, self.geometry) for one in sources]
-        return self._fields(checked)
+        return self._fields([check_sources(one, self.geometry) for one in sources])
 
     def _fields(self, sources: Sequence[Sources]) -> list[DistanceField]:
         """Measure one field for each, a component at a time and in blocks."""
@@ -228,18 +227,15 @@ class HeatGeodesics:
             seconds.append(
                 {"heat": sum(heat.seconds for heat in own.values()), "directions": clock.total}
             )
-        made = [
-            partial(self._field, ready, one, heat, took)
-            for one, heat, took in zip(sources, heats[0], seconds, strict=True)
-        ]
         try:
             solutions = ready.poisson.solutions(flows)
         except ConvergenceError as error:  # of one alone: only iterations do not converge
             if not isinstance(error.partial, LinearSolution):
                 raise
-            raise ConvergenceError(str(error), partial=made[0](error.partial)) from error
-        fields = [make(solution) for make, solution in zip(made, solutions, strict=True)]
-        return fields
+            partly = self._field(ready, sources[0], heats[0][0], seconds[0], error.partial)
+            raise ConvergenceError(str(error), partial=partly) from error
+        parts = zip(sources, heats[0], seconds, solutions, strict=True)
+        return [self._field(ready, *one) for one in parts]
 
     def _field(
         self,
