@@ -146,7 +146,7 @@ def test_without_ffmpeg_the_error_names_the_extra(ball, modes, tmp_path, monkeyp
 
 
 def test_thin_parts_do_not_turn_inside_out():
-    mesh = creature(1200, seed=0)
+    mesh = creature(2500, seed=0)
     spectrum = eigensolve(robust_laplacian(mesh), 7)
     functions = [u / np.abs(u).max() for u in spectrum.eigenvectors.T[1:]]
     resting = np.cross(*np.diff(mesh.points[mesh.faces], axis=1).swapaxes(0, 1))

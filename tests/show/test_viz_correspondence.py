@@ -152,14 +152,5 @@ def test_many_classes_take_no_more_room_than_there_are_and_later_ones_are_paler(
     assert len({tuple(c) for c in colours}) == 24
 
 
-@pytest.mark.parametrize(
-    ("labels", "expected"),
-    [
-        (np.zeros(5, dtype=int), "have shape (162,)"),
-        (np.full(162, -1), "be in [0"),
-        (np.zeros(162), "hold integers"),
-    ],
-)
-def test_labels_that_are_none(labels, expected):
-    refused("labels", expected, Thumbnail, geometry=BALL, labels=labels)
+def test_there_must_be_one():
     refused("thumbnails", "hold at least one", plot_thumbnails, [])
