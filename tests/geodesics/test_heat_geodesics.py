@@ -7,7 +7,15 @@ import numpy as np
 import potpourri3d as pp3d
 import pytest
 from conftest import creature, joined, moved, refused
-from geodesic_truths import angles, by_libigl, cube, relative_error, soup, straight
+from geodesic_truths import (
+    angles,
+    by_libigl,
+    flat_square,
+    middle_of,
+    relative_error,
+    straight,
+    too_large,
+)
 from scipy import sparse
 from scipy.spatial import Delaunay
 
@@ -18,11 +26,9 @@ from spectra_kit.errors import (
     ConvergenceError,
     DoubtfulDistanceWarning,
     OutOfMemoryError,
-    SplitSurfaceWarning,
 )
 from spectra_kit.geodesics import (
     Direct,
-    Exact,
     FacePoint,
     Heat,
     HeatGeodesics,
@@ -33,7 +39,7 @@ from spectra_kit.geodesics import (
 )
 from spectra_kit.geodesics.heat_step import HeatStep
 from spectra_kit.geodesics.system import System
-from spectra_kit.geometry import TriangleMesh, rectangle, repair, sphere
+from spectra_kit.geometry import TriangleMesh, rectangle, sphere
 from spectra_kit.operators.intrinsic import intrinsic_delaunay
 from spectra_kit.operators.triangle_calculus import areas
 
@@ -51,13 +57,6 @@ def animal() -> TriangleMesh:
 @pytest.fixture(scope="module")
 def modes(animal) -> sk.Spectrum:
     return sk.eigensolve(intrinsic_delaunay(animal).laplacian, 60)
-
-
-too_large = pytest.warns(DoubtfulDistanceWarning, match="triangles are too large")
-
-
-def middle_of(mesh: TriangleMesh) -> int:
-    return int(np.argmin(np.linalg.norm(mesh.points - mesh.points.mean(axis=0), axis=1)))
 
 
 # --- truths -------------------------------------------------------------------------------------
@@ -294,93 +293,6 @@ def test_a_cold_boundary_that_cuts_the_surface_apart_is_refused(solver) -> None:
     refused("sources", "not all lie on the boundary of their component", cold.distance, 0)
     field = HeatGeodesics(strip, solver=solver, boundary="average").distance(middle_of(sheet))
     assert field.distance.max() > 1.5 * right
-
-
-# --- coarse meshes --------------------------------------------------------------------------------
-
-
-def flat_square(scale: float = 1.0) -> TriangleMesh:
-    corners = scale * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    return TriangleMesh(corners, [[0, 1, 2], [0, 2, 3]])
-
-
-def bipyramid(sides: int) -> tuple[np.ndarray, list[list[int]]]:
-    """Two flat pyramids over a polygon, with needles for faces."""
-    turn = 2 * np.pi * np.arange(sides) / sides
-    rim = np.c_[5 * np.cos(turn), 5 * np.sin(turn), 0 * turn]
-    faces = [[i, (i + 1) % sides, sides] for i in range(sides)]
-    faces += [[(i + 1) % sides, i, sides + 1] for i in range(sides)]
-    return np.vstack([rim, [[0, 0, 0.2], [0, 0, -0.2]]]), faces
-
-
-COARSE = {
-    "square": (flat_square(), [0, 1, np.sqrt(2), 1]),
-    "a large square": (flat_square(1e6), [0, 1e6, np.sqrt(2) * 1e6, 1e6]),
-    # A path to the far corner crosses two unfolded squares.
-    "cube": (cube(), np.sqrt([0, 1, 1, 2, 1, 2, 2, 5])),
-    "ball": (sphere(subdivisions=0).geometry, None),
-    "bipyramid": (TriangleMesh(*bipyramid(5)), None),
-}
-
-
-@pytest.mark.parametrize("name", COARSE)
-def test_coarse_meshes_take_exact_distances_and_the_heat_method_is_doubted(name) -> None:
-    mesh, truth = COARSE[name]
-    truth = by_libigl(mesh, 0) if truth is None else truth
-    field = geodesic_distance(mesh, 0)
-    assert field.distance == pytest.approx(truth, rel=1e-8)
-    assert (field.solver, field.choice) == (Exact(), "exact: at most 2000 vertices")
-    assert "iterations" not in repr(field)
-    heat = HeatGeodesics(mesh)
-    with too_large as told:
-        off = relative_error(heat.distance(0), field.distance)
-    assert off > 0.0375
-    assert f"by {off:.0%}" in str(told[0].message)
-    with too_large:  # of which it was told already; other sources are no better
-        heat.distances([mesh.n - 1])
-
-
-def test_coarse_meshes_in_parts_are_told_of() -> None:
-    ball = sphere(subdivisions=1).geometry
-    loose = soup(ball)
-    with pytest.warns(SplitSurfaceWarning, match="80 parts, and has 1 if they are joined"):
-        assert geodesic_distance(loose, 0).reached.sum() == 3
-    joined = repair(loose)
-    found = geodesic_distance(joined.geometry, joined.new_index[0]).distance
-    assert joined.restore(found) == pytest.approx(
-        by_libigl(ball, ball.faces[0, 0])[ball.faces].ravel()
-    )
-
-
-def test_triangles_too_thin_for_exact_distances_take_the_heat_method() -> None:
-    ball = sphere(subdivisions=1).geometry
-    needle = ball.with_points(ball.points * [1e7, 1, 1])
-    assert geodesic_distance(needle, 5).poisson is not None
-
-
-@pytest.mark.parametrize("shape", [sphere(subdivisions=3), rectangle(n=300), rectangle(n=1200)])
-def test_well_resolved_meshes_are_not_doubted(shape) -> None:
-    mesh, source = shape.geometry, middle_of(shape.geometry)
-    assert relative_error(HeatGeodesics(mesh).distance(source), by_libigl(mesh, source)) < 0.0375
-
-
-def test_each_part_is_doubted_by_its_own_triangles() -> None:
-    fine, coarse = sphere(subdivisions=3).geometry, cube()
-    heat = HeatGeodesics(joined(fine, moved(coarse, 5, 5, 5)))
-    heat.distance(0)
-    with too_large:
-        heat.distance(fine.n)
-
-
-def test_what_only_the_heat_method_has_is_left_to_it(animal) -> None:
-    mesh = rectangle(n=500).geometry
-    exact = geodesic_distance(mesh, [0, 7])
-    assert exact.distance == pytest.approx(by_libigl(mesh, 0, 7), rel=1e-8)
-    for options in ({"time_coefficient": 2.0}, {"solver": Direct()}, {"weights": [1, 2]}):
-        assert geodesic_distance(mesh, [0, 7], **options).solver == Direct()
-    assert geodesic_distance(mesh, FacePoint(3, (0.2, 0.3, 0.5))).solver == Direct()
-    assert geodesic_distance(mesh.as_cloud(), 0).solver == Direct()
-    assert geodesic_distance(animal, 0).solver == Direct()
 
 
 # --- choice and record ----------------------------------------------------------------------------
