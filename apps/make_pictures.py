@@ -17,10 +17,10 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import importlib.util
 import io
 import json
 import os
+import runpy
 import shutil
 import sys
 import tempfile
@@ -331,13 +331,8 @@ def explorer(studio: Studio) -> None:
 
 def architecture(studio: Studio) -> None:
     """The packages and what they import."""
-    path = ROOT / "docs" / "architecture.py"
-    spec = importlib.util.spec_from_file_location("architecture", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    module.draw_architecture(studio.path("architecture.svg"))
+    drawn = runpy.run_path(str(ROOT / "docs" / "architecture.py"))
+    drawn["draw_architecture"](studio.path("architecture.svg"))
 
 
 PICTURES: dict[str, Callable[[Studio], None]] = {

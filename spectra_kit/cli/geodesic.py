@@ -46,7 +46,7 @@ from spectra_kit.geodesics import (
     WithinMemory,
     nearest_source,
 )
-from spectra_kit.geodesics.exact import exact_field
+from spectra_kit.geodesics.distance import exact_field
 from spectra_kit.geodesics.sources import check_sources
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.geometry.formats import ply

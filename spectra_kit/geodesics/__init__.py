@@ -1,8 +1,9 @@
 """Geodesic distances: by the heat method, exactly, or from the modes alone."""
 
+from spectra_kit.geodesics.distance import geodesic_distance
 from spectra_kit.geodesics.edges import edge_graph, pair_distances
 from spectra_kit.geodesics.exact import exact_distances
-from spectra_kit.geodesics.heat import HeatGeodesics, geodesic_distance
+from spectra_kit.geodesics.heat import HeatGeodesics
 from spectra_kit.geodesics.heat_step import Heat
 from spectra_kit.geodesics.matrix import distance_matrix
 from spectra_kit.geodesics.result import DistanceField

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import sparse
 
@@ -68,16 +66,6 @@ class ScaledSystem:
         return out
 
 
-@dataclass(frozen=True, eq=False)
-class Iterate:
-    """Where an iteration ended: ``u = 2**exponents x``."""
-
-    x: Floats
-    exponents: Ints32
-    share: float
-    iterations: int
-
-
 def iterate(
     matrix: sparse.csr_array,
     lower: sparse.csr_array,
@@ -86,8 +74,10 @@ def iterate(
     exponents: Ints32,
     *,
     accuracy: float,
-) -> Iterate:
+) -> tuple[Floats, Ints32, int, float]:
     """Solve until the componentwise backward error is `accuracy`, or no more iterations are left.
+
+    Return x and its exponents, ``u = 2**exponents x``, the iterations, and the error.
 
     First ``x += F^-1 (b - A x)``, which rises to the solution; if that takes long, BiCGStab (van
     der Vorst, SIAM J. Sci. Stat. Comput. 1992) from there, with exponents so near that its norm,
@@ -107,7 +97,7 @@ def iterate(
         system, x = system.aligned(x)
         x, share, count = _stabilised(system, x, accuracy, _MOST - iterations)
         iterations += count
-    return Iterate(x, system.exponents, share, iterations)
+    return x, system.exponents, iterations, share
 
 
 def _stabilised(

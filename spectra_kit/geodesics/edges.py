@@ -63,16 +63,15 @@ def pair_distances(
         raise InvalidInputError(
             f"`starts` and `ends` must have the same shape (q,), got {a.shape} and {b.shape}"
         )
-    return distances_of_pairs(mesh, a, b, method)
-
-
-def distances_of_pairs(mesh: TriangleMesh, a: Ints, b: Ints, method: str = "edges") -> Floats:
-    """Do the same with checked vertices."""
     if len(np.unique(b)) < len(np.unique(a)):  # distances are symmetric
         a, b = b, a
-    if method == "exact":
-        return _exact(mesh, a, b)
-    return _along_edges(mesh, a, b)
+    if method == "edges":
+        return _along_edges(mesh, a, b)
+    found = np.empty(len(a))
+    for start in np.unique(a):  # one wavefront for each
+        pairs = np.flatnonzero(a == start)
+        found[pairs] = exact_distances(mesh, int(start), targets=b[pairs])
+    return found
 
 
 @checked
@@ -96,11 +95,6 @@ def edge_graph(mesh: TriangleMesh) -> sparse.csr_array:
     >>> graph.shape, graph.nnz
     ((42, 42), 240)
     """
-    return graph_of(mesh)
-
-
-def graph_of(mesh: TriangleMesh) -> sparse.csr_array:
-    """Do the same with a checked mesh."""
     i, j = mesh.unique_edges[0].T
     proper = i != j
     i, j = i[proper], j[proper]
@@ -112,9 +106,9 @@ def graph_of(mesh: TriangleMesh) -> sparse.csr_array:
 
 
 def _along_edges(mesh: TriangleMesh, a: Ints, b: Ints) -> Floats:
-    from spectra_kit.geodesics._edge_kernels import shortest_paths  # numba is slow to import
+    from spectra_kit.geodesics._kernels import shortest_paths  # numba is slow to import
 
-    graph = graph_of(mesh)
+    graph = edge_graph(mesh)
     order = np.argsort(a, kind="stable")
     starts, first = np.unique(a[order], return_index=True)
     found = np.full(len(a), np.inf)
@@ -123,12 +117,3 @@ def _along_edges(mesh: TriangleMesh, a: Ints, b: Ints) -> Floats:
     distances = np.empty_like(found)
     distances[order] = found
     return distances
-
-
-def _exact(mesh: TriangleMesh, a: Ints, b: Ints) -> Floats:
-    """Exact geodesics; one wavefront for each start."""
-    found = np.empty(len(a))
-    for start in np.unique(a):
-        pairs = np.flatnonzero(a == start)
-        found[pairs] = exact_distances(mesh, int(start), targets=b[pairs])
-    return found

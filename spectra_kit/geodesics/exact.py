@@ -10,17 +10,13 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.clock import Clock
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_indices
 from spectra_kit.errors import ConvergenceError, InvalidInputError
-from spectra_kit.geodesics.result import DistanceField
-from spectra_kit.geodesics.solvers import Exact
 from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
-from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.geometry import TriangleMesh
 from spectra_kit.geometry.shapes import component_units
 from spectra_kit.operators.checks import check_three_corners
-from spectra_kit.operators.intrinsic import IntrinsicTriangulation
 
 if TYPE_CHECKING:
     from spectra_kit.geodesics._exact_kernels import Soup
@@ -111,18 +107,9 @@ def exact_distances(
     label = mesh.component_labels
     reachable = ends[np.isin(label[ends], label[checked.vertices])]
     soup, unit = _soup(mesh)
-    unit = unit[ends]
     most = _WINDOWS * (len(mesh.faces) + mesh.n)
-    if propagate(soup, np.array(checked.vertices), np.unique(reachable), distances, most) > most:
-        raise ConvergenceError(
-            f"exact paths need more than {most} windows; `mesh` has triangles so thin that they"
-            " go round and round: remesh, or take geodesic_distance(mesh, sources)",
-            partial=_in_unit(distances[ends], unit),
-        )
-    return _in_unit(distances[ends], unit)
-
-
-def _in_unit(distances: Floats, unit: Floats) -> Floats:
+    count = propagate(soup, np.array(checked.vertices), np.unique(reachable), distances, most)
+    distances, unit = distances[ends], unit[ends]
     with np.errstate(over="ignore", invalid="ignore"):  # unreached and of no size: inf * 0
         found = np.where(np.isfinite(distances), distances * unit, np.inf)
     if (np.isfinite(distances) & ~np.isfinite(found)).any():
@@ -131,6 +118,12 @@ def _in_unit(distances: Floats, unit: Floats) -> Floats:
             "have distances that are numbers",
             f"some above {np.finfo(float).max:.1e}",
             advice="choose another unit of length",
+        )
+    if count > most:
+        raise ConvergenceError(
+            f"exact paths need more than {most} windows; `mesh` has triangles so thin that they"
+            " go round and round: remesh, or take geodesic_distance(mesh, sources)",
+            partial=found,
         )
     return found
 
@@ -208,22 +201,3 @@ def exact_or_none(mesh: TriangleMesh, sources: Sources) -> Floats | None:
         return exact_distances(mesh, sources.vertices)
     except ConvergenceError:
         return None
-
-
-def exact_field(
-    geometry: Geometry | IntrinsicTriangulation, sources: SourcesLike
-) -> DistanceField | None:
-    """Measure exact distances where they cost little and can be had, None elsewhere."""
-    if not isinstance(geometry, TriangleMesh) or geometry.n > EXACT:
-        return None
-    clock, checked = Clock(), check_sources(sources, geometry)
-    exact = None if checked.offsets.any() else exact_or_none(geometry, checked)
-    if exact is None:
-        return None
-    return DistanceField(
-        distance=exact,
-        sources=checked,
-        solver=Exact(),
-        reason=f"at most {EXACT} vertices",
-        seconds={"exact": clock.total},
-    )

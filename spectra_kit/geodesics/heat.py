@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial, reduce
 from operator import call
@@ -23,7 +23,7 @@ from spectra_kit._sparse.grounded import GroundedCholesky
 from spectra_kit._sparse.solution import LinearSolution
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import ConvergenceError, DoubtfulDistanceWarning, InvalidInputError
-from spectra_kit.geodesics.exact import EXACT, exact_field, exact_or_none
+from spectra_kit.geodesics.exact import EXACT, exact_or_none
 from spectra_kit.geodesics.heat_step import Heat, HeatStep
 from spectra_kit.geodesics.result import DistanceField
 from spectra_kit.geodesics.solvers import (
@@ -35,7 +35,6 @@ from spectra_kit.geodesics.solvers import (
 )
 from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
 from spectra_kit.geodesics.system import COARSER, System
-from spectra_kit.geometry.seams import warn_of_seams
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 
@@ -193,8 +192,7 @@ class HeatGeodesics:
         for at once, and their seconds are an even share of what that took. All sources are checked
         first.
         """
-        checked = [check_sources(one, self.geometry) for one in sources]
-        return self._fields(checked)
+        return self._fields([check_sources(one, self.geometry) for one in sources])
 
     def _fields(self, sources: Sequence[Sources]) -> list[DistanceField]:
         """Measure one field for each, a component at a time and in blocks."""
@@ -229,18 +227,15 @@ class HeatGeodesics:
             seconds.append(
                 {"heat": sum(heat.seconds for heat in own.values()), "directions": clock.total}
             )
-        made = [
-            partial(self._field, ready, one, heat, took)
-            for one, heat, took in zip(sources, heats[0], seconds, strict=True)
-        ]
         try:
             solutions = ready.poisson.solutions(flows)
         except ConvergenceError as error:  # of one alone: only iterations do not converge
             if not isinstance(error.partial, LinearSolution):
                 raise
-            raise ConvergenceError(str(error), partial=made[0](error.partial)) from error
-        fields = [make(solution) for make, solution in zip(made, solutions, strict=True)]
-        return fields
+            partly = self._field(ready, sources[0], heats[0][0], seconds[0], error.partial)
+            raise ConvergenceError(str(error), partial=partly) from error
+        parts = zip(sources, heats[0], seconds, solutions, strict=True)
+        return [self._field(ready, *one) for one in parts]
 
     def _field(
         self,
@@ -332,17 +327,18 @@ class HeatGeodesics:
     def _prepare(self, component: int | None) -> _Ready:
         """Choose how to solve, and prepare it."""
         clock, (options, reason) = Clock(), self._chosen
-        system = System.of(self.triangulation, component)
-        if not isinstance(options, Direct):
-            return self._factorised(system, options, reason, 0.0, clock)
-        gigabytes = (1 + len(self._kinds(system))) * system.elimination.gigabytes
-        if isinstance(self._solver, WithinMemory):
-            options, reason = self._solver.choose(len(system.order), gigabytes)
-            if not isinstance(options, Direct):  # whose modes are those of all points
-                if component is not None:
-                    system = System.of(self.triangulation)
-                there = self._prepared.get(None)
-                return there or self._factorised(system, options, reason, 0.0, clock)
+        system, gigabytes = System.of(self.triangulation, component), 0.0
+        if isinstance(options, Direct):
+            gigabytes = (1 + len(self._kinds(system))) * system.elimination.gigabytes
+            if isinstance(self._solver, WithinMemory):
+                options, reason = self._solver.choose(len(system.order), gigabytes)
+        if isinstance(options, Iterative):  # with modes of all points
+            if None in self._prepared:
+                return self._prepared[None]
+            gigabytes = 0.0
+            if component is not None:
+                system = System.of(self.triangulation)
+        elif isinstance(self._solver, WithinMemory):
             held = sum(ready.gigabytes for ready in self._prepared.values())
             for other, ready in list(self._prepared.items()):  # those asked first go first
                 if held + gigabytes <= self._solver.memory:
@@ -350,65 +346,52 @@ class HeatGeodesics:
                 held -= ready.gigabytes
                 if ready.gigabytes:
                     del self._prepared[other]
-        return self._factorised(system, options, reason, gigabytes, clock)
+        steps, poisson = self._factorised(system, options)
+        return _Ready(system, steps, poisson, reason, gigabytes, clock.total)
 
     def _factorised(
-        self,
-        system: System,
-        options: Direct | Iterative,
-        reason: str,
-        gigabytes: float,
-        clock: Clock,
-    ) -> _Ready:
+        self, system: System, options: Direct | Iterative
+    ) -> tuple[dict[int, dict[Boundary, HeatStep]], GroundedCholesky | IterativePoisson]:
         """Factorise what both steps need, side by side."""
-        kinds = self._kinds(system)
-        tasks = [
-            partial(self._poisson, system, options),
-            *(partial(self._step, system, options, *kind) for kind in kinds),
+        kinds, stiffness = self._kinds(system), system.stiffness
+        kernel = ConstantKernel(system.labels - system.labels.min())
+        elimination = None
+        second: Callable[[], GroundedCholesky | IterativePoisson]
+        if isinstance(options, Direct):
+            elimination = system.elimination
+            second = partial(GroundedCholesky, stiffness, kernel, elimination=elimination)
+        else:
+            arguments = stiffness, kernel, options, self._spectrum, system.order
+            second = partial(IterativePoisson, *arguments)
+        first = [
+            partial(
+                HeatStep,
+                stiffness,
+                system.mass,
+                system.points,
+                duration=self._time_coefficient * float(COARSER) ** (2 * size),
+                inside=system.inside if condition == "dirichlet" else None,
+                direct=isinstance(options, Direct),
+                elimination=elimination,
+            )
+            for size, condition in kinds
         ]
-        poisson, *made = in_threads(call, [(task,) for task in tasks])
+        poisson, *made = in_threads(call, [(task,) for task in (second, *first)])
         steps: dict[int, dict[Boundary, HeatStep]] = {}
         for (size, condition), step in zip(kinds, made, strict=True):
             steps.setdefault(size, {})[condition] = step
-        return _Ready(system, steps, poisson, reason, gigabytes, clock.total)
+        return steps, poisson
 
     def _kinds(self, system: System) -> list[tuple[int, Boundary]]:
         """Return the sizes of heat steps, each with the boundary conditions that take part."""
-        conditions = self._conditions(system)
-        if not conditions:
+        conditions: list[Boundary] = [self._boundary]
+        if system.inside.all():
+            conditions = ["neumann"]
+        elif self._boundary == "average":
+            conditions = ["neumann", "dirichlet"] if system.inside.any() else ["neumann"]
+        elif self._boundary == "dirichlet" and not system.inside.any():
             raise _cold()
         return [(int(k), one) for k in np.union1d(0, system.sizes) for one in conditions]
-
-    def _conditions(self, system: System) -> tuple[Boundary, ...]:
-        """Return the boundary conditions that take part."""
-        if system.inside.all():
-            return ("neumann",)
-        both: tuple[Boundary, ...] = ("neumann", "dirichlet")
-        wanted = both if self._boundary == "average" else (self._boundary,)
-        return wanted if system.inside.any() else tuple(c for c in wanted if c == "neumann")
-
-    def _step(
-        self, system: System, options: Direct | Iterative, size: int, condition: Boundary
-    ) -> HeatStep:
-        direct = isinstance(options, Direct)
-        return HeatStep(
-            system.stiffness,
-            system.mass,
-            system.points,
-            duration=self._time_coefficient * float(COARSER) ** (2 * size),
-            inside=system.inside if condition == "dirichlet" else None,
-            direct=direct,
-            elimination=system.elimination if direct else None,
-        )
-
-    def _poisson(
-        self, system: System, options: Direct | Iterative
-    ) -> GroundedCholesky | IterativePoisson:
-        stiffness = system.stiffness
-        kernel = ConstantKernel(system.labels - system.labels.min())
-        if isinstance(options, Direct):
-            return GroundedCholesky(stiffness, kernel, elimination=system.elimination)
-        return IterativePoisson(stiffness, kernel, options, self._spectrum, system.order)
 
     def _heats(
         self, system: System, steps: Mapping[Boundary, HeatStep], heated: Sequence[Floats]
@@ -428,7 +411,7 @@ class HeatGeodesics:
                     if len(np.setdiff1d(labels, system.labels[one > 0])):
                         raise _cold()
             some = [i for i, one in enumerate(warm) if one.any()]
-            for i, heat in zip(some, step.solve_all([warm[i] for i in some]), strict=True):
+            for i, heat in zip(some, step.solve([warm[i] for i in some]), strict=True):
                 found[i].append(heat)
         if not all(found):
             raise _cold()
@@ -478,65 +461,3 @@ def _cold() -> InvalidInputError:
         "not all lie on the boundary of their component, which boundary='dirichlet' keeps cold",
         advice="use 'neumann' or 'average'",
     )
-
-
-@checked
-def geodesic_distance(
-    geometry: Geometry | IntrinsicTriangulation,
-    sources: SourcesLike,
-    *,
-    spectrum: Spectrum | None = None,
-    weights: ArrayLike | None = None,
-    solver: Solver = WithinMemory(),  # noqa: B008
-    time_coefficient: float = 1.0,
-    boundary: Boundary = "neumann",
-) -> DistanceField:
-    """Measure distances to one set of sources; for several sets keep a `HeatGeodesics`.
-
-    Parameters
-    ----------
-    geometry : TriangleMesh, PointCloud or IntrinsicTriangulation
-        Of n points.
-    sources : int, FacePoint, sequence or array of these, mask, or Sources
-        See `check_sources`.
-    spectrum : Spectrum, optional
-        Modes of the geometry, to be quicker.
-    weights : array_like of shape (s,), optional
-        Heat that each source emits, 1 by default.
-    solver : Direct, Iterative or WithinMemory, default WithinMemory()
-        How linear systems are solved. With the default, none is on a mesh of at most 2,000
-        vertices: they take `exact_distances`, unless a source lies inside a face or another of
-        the options below is given.
-    time_coefficient, boundary
-        As of `HeatGeodesics`.
-
-    Returns
-    -------
-    DistanceField
-        The distances, and how they were found.
-
-    See Also
-    --------
-    exact_distances : Of the polyhedron, exactly.
-    spectral_distance : Roughly, from modes alone.
-    spectra_kit.geodesics.pair_distances : Between pairs of vertices, along edges or exact.
-    spectra_kit.geodesics.distance_matrix : From many sources, or all points.
-
-    Examples
-    --------
-    >>> import spectra_kit as sk
-    >>> sk.geodesic_distance(sk.geometry.rectangle(n=1000).geometry, 0).choice
-    'exact: at most 2000 vertices'
-    >>> sk.geodesic_distance(sk.geometry.rectangle(n=3000).geometry, 0).choice
-    'direct: factors of 3... points fit into 4 GiB'
-    """
-    plain = isinstance(solver, WithinMemory) and time_coefficient == 1 and boundary == "neumann"
-    if plain and spectrum is None and weights is None:
-        found = exact_field(geometry, sources)
-        if found is not None and isinstance(geometry, TriangleMesh):
-            warn_of_seams(geometry)  # as operators do, of which there is none here
-            return found
-    geodesics = HeatGeodesics(
-        geometry, spectrum, solver=solver, time_coefficient=time_coefficient, boundary=boundary
-    )
-    return geodesics.distance(sources, weights=weights)

@@ -186,18 +186,12 @@ class HeatStep:
         )
         return sparse.csr_array((costs, A.indices, A.indptr), shape=A.shape)
 
-    def solve(self, rhs: Floats) -> Heat:
-        """Return u for b = `rhs` (n,), not negative and not zero.
+    def solve(self, sides: Sequence[Floats]) -> list[Heat]:
+        """Return u for each b (n,) of `sides`, not negative and not zero.
 
+        By a complete factor all at once: what that takes is shared out evenly among their seconds.
         `ConvergenceError` where the iteration does not reach its accuracy, as it may not where
         triangles differ in size by orders of magnitude.
-        """
-        return self.solve_all([rhs])[0]
-
-    def solve_all(self, sides: Sequence[Floats]) -> list[Heat]:
-        """Return u for each b of `sides`, as `solve` does: by a complete factor, all at once.
-
-        What that takes is shared out evenly among their seconds.
         """
         if not sides:
             return []
@@ -205,7 +199,11 @@ class HeatStep:
         sides = [(rhs if inside is None else rhs[inside]) / self._unit for rhs in sides]
         largest = [(rhs / self._mass).max() for rhs in sides]  # of u, by the maximum principle
         sides = [rhs / most for rhs, most in zip(sides, largest, strict=True)]
-        direct = self._direct(sides)
+        direct: Sequence[Heat | None] = [None] * len(sides)
+        if self._complete is not None:
+            lifted = [np.ldexp(rhs, _LIFT) for rhs in sides]
+            solved = np.ascontiguousarray(self._complete.solve(np.column_stack(lifted)).T)
+            direct = [self._in_range(rhs, u) for rhs, u in zip(lifted, solved, strict=True)]
         share = clock.total / len(sides)
         found = [heat or self._iterate(rhs) for heat, rhs in zip(direct, sides, strict=True)]
         found = [
@@ -214,19 +212,8 @@ class HeatStep:
         ]
         return found if inside is None else [heat.spread(inside) for heat in found]
 
-    def _direct(self, sides: Sequence[Floats]) -> Sequence[Heat | None]:
-        """Return each u, at most 1, by the complete factor; None without one, or if it underflows.
-
-        It is no time that they say they took.
-        """
-        if self._complete is None:
-            return [None] * len(sides)
-        lifted = [np.ldexp(rhs, _LIFT) for rhs in sides]
-        solved = np.ascontiguousarray(self._complete.solve(np.column_stack(lifted)).T)
-        return [self._in_range(rhs, u) for rhs, u in zip(lifted, solved, strict=True)]
-
     def _in_range(self, lifted: Floats, u: Floats) -> Heat | None:
-        """Return what a direct solution says, or None if it underflows."""
+        """Return what a direct solution says, of no time, or None if it underflows."""
         from spectra_kit.geodesics._kernels import residual
 
         if not (u > _FLOOR).all():
@@ -248,14 +235,15 @@ class HeatStep:
         clock = Clock()
         cost = dijkstra(self._costs, indices=np.flatnonzero(rhs), min_only=True)
         guess = np.where(np.isfinite(cost), np.rint(cost / -np.log(2)), 0.0).astype(np.int32)
-        end = iterate(self._matrix, *self._incomplete, rhs, guess, accuracy=_ACCURACY)
-        method = "incomplete Cholesky"
-        heat = Heat(end.x, end.exponents, method, end.iterations, end.share, clock.total)
-        if end.share <= _ACCURACY and (end.x >= 0).all():
+        x, exponents, iterations, share = iterate(
+            self._matrix, *self._incomplete, rhs, guess, accuracy=_ACCURACY
+        )
+        heat = Heat(x, exponents, "incomplete Cholesky", iterations, share, clock.total)
+        if share <= _ACCURACY and (x >= 0).all():
             return heat
         raise ConvergenceError(
-            f"the heat step must be right to {_ACCURACY:g} at every point, got {end.share:.1e}"
-            f" after {end.iterations} iterations; triangles differ too much in size, or"
+            f"the heat step must be right to {_ACCURACY:g} at every point, got {share:.1e}"
+            f" after {iterations} iterations; triangles differ too much in size, or"
             " `time_coefficient` is large: use solver=Direct()",
             partial=heat,
         )

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -114,13 +113,18 @@ def distance_matrix(
         raise InvalidInputError("start", "be 0 without `out`, which holds the rows before", start)
     out = np.empty(shape, dtype) if out is None else _fitting(out, shape, dtype)
     check_count("start", start, low=0, high=len(rows))
-    with _telling_once():
+    with hearing() as doubts:  # one warning at the end tells of them all
         for left, right in ranges(len(rows) - start, solved_together()):
             block = slice(start + left, start + right)
             for i, field in enumerate(heat.distances(rows[block]), start=block.start):
                 out[i] = field.distance
             if progress is not None:
                 progress(block.stop, len(rows))
+    if doubts:
+        warn(
+            f"{len(doubts)} of the fields are in doubt; of the first, {doubts[0]}",
+            DoubtfulDistanceWarning,
+        )
     if sources is None and symmetric is not False:
         _average_halves(out)
     return out
@@ -146,15 +150,3 @@ def _average_halves(matrix: NDArray[Any]) -> None:
         for columns in tiles[: i + 1]:
             mean = (matrix[rows, columns] + matrix[columns, rows].T) / 2
             matrix[rows, columns], matrix[columns, rows] = mean, mean.T
-
-
-@contextmanager
-def _telling_once() -> Iterator[None]:
-    """Gather doubts about distances, and tell of them in one warning at the end."""
-    with hearing() as doubts:
-        yield
-    if doubts:
-        warn(
-            f"{len(doubts)} of the fields are in doubt; of the first, {doubts[0]}",
-            DoubtfulDistanceWarning,
-        )

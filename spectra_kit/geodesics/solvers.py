@@ -200,7 +200,7 @@ class IterativePoisson:
         self._coarse = None
         if spectrum is not None and options.coarse != "none":
             exact = options.coarse == "projected"
-            self._coarse = coarse_space(matrix, spectrum, order, options.modes, exact=exact)
+            self._coarse = _coarse_space(matrix, spectrum, order, options.modes, exact=exact)
         if self._coarse is None:
             options = replace(options, coarse="none")
         elif options.coarse == "projected":
@@ -210,25 +210,23 @@ class IterativePoisson:
         #: As they came, but for modes that are not there.
         self.options = options
 
-    def solution(self, rhs: Floats) -> LinearSolution:
-        """Solve, from the solution in the modes (the warm start of Algorithm 2)."""
-        start = None if self._coarse is None else self._coarse.solve(rhs)
-        return pcg(
-            self._matrix,
-            rhs,
-            preconditioner=self._preconditioner,
-            start=start,
-            kernel=self._kernel,
-            rtol=self.options.rtol,
-            max_iterations=self.options.max_iterations,
-        )
-
     def solutions(self, sides: Sequence[Floats]) -> list[LinearSolution]:
-        """Solve for one after the other."""
-        return [self.solution(rhs) for rhs in sides]
+        """Solve for each, from the solution in the modes (the warm start of Algorithm 2)."""
+        return [
+            pcg(
+                self._matrix,
+                rhs,
+                preconditioner=self._preconditioner,
+                start=None if self._coarse is None else self._coarse.solve(rhs),
+                kernel=self._kernel,
+                rtol=self.options.rtol,
+                max_iterations=self.options.max_iterations,
+            )
+            for rhs in sides
+        ]
 
 
-def coarse_space(
+def _coarse_space(
     matrix: sparse.csr_array,
     spectrum: Spectrum,
     order: NDArray[np.int64],

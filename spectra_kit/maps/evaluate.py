@@ -24,7 +24,7 @@ from spectra_kit._core.validate import (
 )
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geodesics.edges import distances_of_pairs
+from spectra_kit.geodesics.edges import pair_distances
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.maps.convert import at_unit_area, check_point_map, induced
 from spectra_kit.maps.nearest import nearest
@@ -190,7 +190,7 @@ def map_errors(
     at = check_indices("truth.target", truth.target, len(p))
     goals = [truth.source] if truth.symmetric is None else [truth.source, truth.symmetric]
     ends = check_indices("truth", np.concatenate(goals), mesh.n)
-    found = distances_of_pairs(mesh, np.tile(p[at], len(goals)), ends, method)
+    found = pair_distances(mesh, np.tile(p[at], len(goals)), ends, method)
     direct, *symmetric = 100 * found.reshape(len(goals), -1) / np.sqrt(mesh.area)
     return MapErrors(direct, at, *symmetric)
 
@@ -409,7 +409,7 @@ def bijectivity_errors(mesh: TriangleMesh, point_map: ArrayLike, back: ArrayLike
             q.shape,
             advice="are the two maps exchanged?",
         )
-    found = distances_of_pairs(mesh, np.arange(mesh.n), p[q])
+    found = pair_distances(mesh, np.arange(mesh.n), p[q])
     return np.asarray(100 * found / np.sqrt(mesh.area))
 
 

@@ -27,7 +27,7 @@ from spectra_kit._sparse.ritz import ritz_pairs
 from spectra_kit.eigen import Spectrum, spectrum
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.features import wave_kernel_signature
-from spectra_kit.geodesics.edges import graph_of
+from spectra_kit.geodesics.edges import edge_graph
 from spectra_kit.geometry import Geometry, TriangleMesh, largest_component
 from spectra_kit.maps.calibration import CONVINCING_PART
 from spectra_kit.maps.convert import induced
@@ -266,7 +266,7 @@ class _PartSearch:
         """
         surface, mesh = self.part.surface, self.part.surface.mesh
         border = mesh.boundary_vertices
-        depth = dijkstra(graph_of(mesh), directed=False, indices=border, min_only=True)
+        depth = dijkstra(edge_graph(mesh), directed=False, indices=border, min_only=True)
         held = depth >= min(_LOOSE, np.median(depth))
         return replace(surface, points=surface.points * area**0.5, mass=surface.mass * area * held)
 
@@ -406,7 +406,7 @@ def limb_ends(whole: Prepared) -> Ints:
     """
     spectrum = whole.spectrum.nonzero()
     far = ((spectrum.eigenvectors / spectrum.eigenvalues) ** 2).sum(axis=1)
-    graph = graph_of(whole.surface.mesh)
+    graph = edge_graph(whole.surface.mesh)
     around = np.maximum.reduceat(far[graph.indices], graph.indptr[:-1])
     tops = np.flatnonzero(far >= around)
     tops = tops[np.argsort(-far[tops], kind="stable")]
@@ -421,7 +421,7 @@ def limb_ends(whole: Prepared) -> Ints:
 def _families(whole: Prepared) -> Iterator[list[Region]]:
     """Yield the whole, then regions beyond, and within, a distance of one or two ends of limbs."""
     yield [_piece(whole, whole.surface.mesh)]
-    mass, graph = whole.spectrum.mass, graph_of(whole.surface.mesh)
+    mass, graph = whole.spectrum.mass, edge_graph(whole.surface.mesh)
     ends = limb_ends(whole)
     distances = dijkstra(graph, directed=False, indices=ends)
     for count in (1, 2):

@@ -75,7 +75,7 @@ def thinned(unit: Spectrum, surface: Surface, count: int) -> Subsample:
     modes ask of samples (Cohen and Migliorati, *Optimal weighted least-squares methods*, 2017).
     The numbering of the points does not matter. A few that no triangle would hold are left out.
     """
-    from spectra_kit.geodesics._edge_kernels import farthest_along_edges  # numba is slow to import
+    from spectra_kit.geodesics._kernels import farthest_along_edges  # numba is slow to import
 
     density = np.einsum("nk,nk->n", unit.eigenvectors, unit.eigenvectors) / unit.k
     edges = neighbours(surface.oriented.faces, unit.n)

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit.eigen import Spectrum
-from spectra_kit.geodesics.edges import graph_of
+from spectra_kit.geodesics.edges import edge_graph
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.operators.oriented import OrientedTriangles
 
@@ -65,7 +65,7 @@ class Surface(Rebuilt):
 
         What no way leads to, as single points of a cloud, counts as the farthest.
         """
-        ways = dijkstra(graph_of(self.mesh), directed=False, indices=points)
+        ways = dijkstra(edge_graph(self.mesh), directed=False, indices=points)
         return np.minimum(ways, ways[np.isfinite(ways)].max())
 
     @cached_property

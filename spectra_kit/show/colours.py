@@ -74,10 +74,7 @@ def diverging_colours(values: Floats) -> Bytes:
 
 def sequential_colours(values: Floats) -> Bytes:
     """Colour values (n,) in [0, 1], cut off there: Matplotlib's viridis, dark to light."""
-    import_matplotlib()
-    from matplotlib import colormaps
-
-    return np.asarray(colormaps["viridis"](np.clip(values, 0.0, 1.0), bytes=True))[..., :3]
+    return _mapped("viridis", np.clip(values, 0.0, 1.0))
 
 
 def position_colours(positions: Floats, low: Floats, high: Floats, *, squares: bool) -> Bytes:
@@ -98,14 +95,18 @@ def position_colours(positions: Floats, low: Floats, high: Floats, *, squares: b
 
 def error_colours(errors: Floats, limit: float) -> Bytes:
     """Colour errors (n,) from light at 0 to dark at `limit` and above; grey where NaN."""
+    # The dark end of the map would swallow the shading of a lit surface.
+    colours = _mapped("magma_r", 0.02 + 0.73 * np.clip(np.nan_to_num(errors / limit), 0.0, 1.0))
+    colours[np.isnan(errors)] = UNKNOWN
+    return colours
+
+
+def _mapped(name: str, part: Floats) -> Bytes:
+    """Colours (n, 3) of Matplotlib at a part (n,) of the way through them."""
     import_matplotlib()
     from matplotlib import colormaps
 
-    # The dark end of the map would swallow the shading of a lit surface.
-    scaled = 0.02 + 0.73 * np.clip(np.nan_to_num(errors / limit), 0.0, 1.0)
-    colours: Bytes = np.array(colormaps["magma_r"](scaled, bytes=True))[..., :3]
-    colours[np.isnan(errors)] = UNKNOWN
-    return colours
+    return np.array(colormaps[name](part, bytes=True))[..., :3]
 
 
 def largest(distance: Floats) -> float:

@@ -233,8 +233,7 @@ def plot_fields(
         One colour bar for all, at the foot of the page.
     lines : {"none", "nodal", "levels"}, default "none"
         Draw lines where a function is zero, or at evenly spaced round values within the colours.
-    columns : int, optional
-        How many pictures stand beside each other; by default what fits the page best.
+    $columns
 
     $returns
 
@@ -339,10 +338,10 @@ def draw_gallery(
     cells = _cells(geometry, table, rotation, page, cell, bars=not one_bar)
     figure = set_table(page, cells, cell=cell, foot=BAR * one_bar)
     if one_bar:
-        canvas, bar = Canvas(figure), panels[0].bar()
+        canvas = Canvas(figure)
         length = min(canvas.width - 2 * MARGIN, 4.0)
         left, top = (canvas.width - length) / 2, canvas.height - MARGIN - 0.13
-        canvas.bar(bar.colours, bar.ends, left, top, length)
+        canvas.bar(panels[0].bar(), left, top, length)
     return figure
 
 

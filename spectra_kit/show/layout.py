@@ -146,18 +146,18 @@ class Canvas:
         rows = round((self.height - top) * self.dpi) - len(picture)
         self.figure.figimage(picture, round(left * self.dpi), rows, origin="upper")
 
-    def bar(
-        self, strip: Bytes, ends: tuple[str, str], left: float, top: float, length: float
-    ) -> None:
-        """Draw a slim bar of these colours (c, 3), `ends` written beside it, within `length`."""
+    def bar(self, bar: Bar, left: float, top: float, length: float) -> None:
+        """Draw slim colours with their ends beside them, within `length`, and the label below."""
         slim, thick = min(1.1, 0.45 * length), 0.07
         start, room = left + (length - slim) / 2, (length - slim) / 2 - 0.06
-        across = np.linspace(0, len(strip) - 1, max(round(slim * self.dpi), 2))
-        row = strip[np.round(across).astype(int)]
+        across = np.linspace(0, len(bar.colours) - 1, max(round(slim * self.dpi), 2))
+        row = bar.colours[np.round(across).astype(int)]
         self.picture(np.tile(row, (max(round(thick * self.dpi), 1), 1, 1)), start, top)
         style = {"fontsize": 7.5, "color": "0.4", "va": "center_baseline"}
-        self._set(ends[0], start - 0.06, top + thick / 2, room, ha="right", **style)
-        self._set(ends[1], start + slim + 0.06, top + thick / 2, room, ha="left", **style)
+        self._set(bar.ends[0], start - 0.06, top + thick / 2, room, ha="right", **style)
+        self._set(bar.ends[1], start + slim + 0.06, top + thick / 2, room, ha="left", **style)
+        if bar.label:
+            self.text(bar.label, left, top + 0.25, length, 8, colour="0.4", centred=True)
 
 
 def short(value: float) -> str:
@@ -230,9 +230,7 @@ def set_table(
             high, wide = (size / dpi for size in entry.picture.shape[:2])
             canvas.picture(entry.picture, x + (cell - wide) / 2, top + caption + (room - high) / 2)
             if entry.bar is not None:
-                canvas.bar(entry.bar.colours, entry.bar.ends, x, top + caption + room + 0.13, cell)
-                below = top + caption + room + 0.38
-                canvas.text(entry.bar.label, x, below, cell, 8, colour="0.4", centred=True)
+                canvas.bar(entry.bar, x, top + caption + room + 0.13, cell)
         top += caption + room + bar + GAP
     return figure
 

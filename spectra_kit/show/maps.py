@@ -138,8 +138,7 @@ def plot_correspondence(
         What the map carries: gradual colours, or a chart of named squares.
     limit : float, optional
         The error at the dark end of the colours; by default the 99th percentile.
-    error_label : str
-        Says what the errors are, and in which unit.
+    $error_label
     names : tuple of str, default ("source", "target")
         What to call the two.
 
@@ -198,8 +197,7 @@ def plot_correspondences(
         As in `plot_correspondence`.
     limit : float, optional
         The error at the dark end of the colours, for all.
-    error_label : str
-        Says what the errors are, and in which unit.
+    $error_label
 
     $returns
 
@@ -358,8 +356,7 @@ def plot_error_curves(
     $page
     limit : float, default 10
         The largest error shown, in the unit of `errors`.
-    error_label : str
-        Says what the errors are, and in which unit.
+    $error_label
 
     $returns
 

@@ -53,8 +53,7 @@ def plot_modes(
         Which modes, counted from 0; by default the first twelve that are not constant.
     nodal_lines : bool, default True
         Draw where each mode is zero.
-    columns : int, optional
-        How many pictures stand beside each other; by default what fits the page best.
+    $columns
 
     $returns
 

@@ -29,6 +29,9 @@ _SHARED = {
     "geometry": "geometry : TriangleMesh or PointCloud\n    A cloud is drawn as balls.",
     "view": "view : View, optional\n    Where it is seen from.",
     "page": "page : Page, optional\n    Its head, and its resolution.",
+    "columns": "columns : int, optional\n"
+    "    How many pictures stand beside each other; by default what fits the page best.",
+    "error_label": "error_label : str\n    Says what the errors are, and in which unit.",
     "returns": "Returns\n-------\nPicture\n    What was drawn.",
 }
 
@@ -116,16 +119,13 @@ def _check_path(path: PathLike | None, suffixes: tuple[str, ...]) -> None:
     """Refuse a path that nothing could be written to."""
     if path is None:
         return
-    if not _ends_in(path, suffixes):
+    suffix = Path(path).suffix.lower()
+    if suffix not in suffixes:
         *most, last = suffixes
         raise InvalidInputError("path", f"end in {', '.join(most)} or {last}", repr(str(path)))
     check_target(path)
-    if _ends_in(path, (".mp4",)):
+    if suffix == ".mp4":
         optional("imageio_ffmpeg", extra="video", needed_by="MP4", otherwise="write a .gif")
-
-
-def _ends_in(path: object, suffixes: tuple[str, ...]) -> bool:
-    return isinstance(path, str | os.PathLike) and Path(path).suffix.lower() in suffixes
 
 
 def save(figure: Figure, path: PathLike) -> None:

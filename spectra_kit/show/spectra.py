@@ -104,15 +104,8 @@ def plot_spectrum(
         listed = ", ".join(f"{area:.4g}" for area in areas)
         got, advice = f"{free_boundary:g} for spectra of the areas {listed}", "draw them one by one"
         raise InvalidInputError("free_boundary", "be of one surface", got, advice=advice)
-    return spectrum_figure(named, weyl, page, free_boundary)
-
-
-def spectrum_figure(
-    spectra: Mapping[str, Spectrum], weyl: bool, page: Page, free_boundary: float = 0.0
-) -> Figure:
-    """Return the page: eigenvalues, and below them what there is of residuals and differences."""
-    certified = any(spectrum.certificate is not None for spectrum in spectra.values())
-    first, *others = spectra.values()
+    certified = any(spectrum.certificate is not None for spectrum in named.values())
+    first, *others = named.values()
     comparable = any(min(first.k, other.k) > first.n_zero_modes for other in others)
     below = [_draw_residuals] * certified + [_draw_differences] * comparable
     heights = [4.2] + [1.75] * len(below)
@@ -120,10 +113,12 @@ def spectrum_figure(
     (panels,) = figure.subplots(
         len(heights), 1, sharex=True, squeeze=False, height_ratios=heights
     ).T
-    draw_eigenvalues(panels[0], spectra, weyl=weyl, free_boundary=free_boundary)
+    if weyl:
+        _draw_weyl(panels[0], named, free_boundary)
+    _draw_eigenvalues(panels[0], named)
     for panel, draw in zip(panels[1:], below, strict=True):
-        draw(panel, spectra)
-    last = max(spectrum.k for spectrum in spectra.values()) - 1
+        draw(panel, named)
+    last = max(spectrum.k for spectrum in named.values()) - 1
     margin = 0.015 * last + 0.3
     panels[-1].set(xlabel="mode number j", xlim=(-margin, last + margin))
     for panel in panels:
@@ -135,15 +130,11 @@ def spectrum_figure(
     return figure
 
 
-def draw_eigenvalues(
-    panel: Axes, spectra: Mapping[str, Spectrum], *, weyl: bool, free_boundary: float = 0.0
-) -> None:
-    """Markers, bars and Weyl's law of each spectrum."""
+def _draw_eigenvalues(panel: Axes, spectra: Mapping[str, Spectrum]) -> None:
+    """Markers and bars of each spectrum."""
     largest = max(float(spectrum.eigenvalues[-1]) for spectrum in spectra.values()) or 1.0
     tops = [largest, *(float(np.max(_bar(spectrum)[1])) for spectrum in spectra.values())]
     top = min(max(tops), _HEADROOM * largest)
-    if weyl:
-        _draw_weyl(panel, spectra, free_boundary)
     for i, (name, spectrum) in enumerate(spectra.items()):
         number, style = np.arange(spectrum.k), _marker(i, spectrum.k)
         style |= {"mfc": "none" if i else style["color"], "zorder": 3, "clip_on": False}

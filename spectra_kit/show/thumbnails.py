@@ -28,7 +28,6 @@ _WIDEST, _TALLEST = 2.2, 2.4  # inches of a picture
 _CLASSES = 1 << 16
 _PLAIN = (205, 205, 200)
 _LIGHTER = 0.35  # towards white: shading must stay visible
-_PIXELS = 1  # to a vertex: borders of classes run through triangles
 
 
 @checked
@@ -122,7 +121,8 @@ def _scene(thumbnail: Thumbnail, view: View, dpi: int) -> Scene:
         round(side * dpi) for side in fitting_size(geometry, rotation, _WIDEST, _TALLEST)
     )
     shares = np.eye(len(palette))[labels]
-    fine, shares, normals = refined(geometry, shares, width * height // _PIXELS)
+    # A vertex to each pixel: borders of classes run through triangles.
+    fine, shares, normals = refined(geometry, shares, width * height)
     colours = palette[shares.argmax(axis=1)]
     return Scene(
         geometry=fine, functions=[colours], rotation=rotation, width=width, normals=normals

@@ -3,15 +3,12 @@
 import numpy as np
 import pytest
 from conftest import bumpy, creature, joined, refused
-from geodesic_truths import angles, by_libigl, straight
+from geodesic_truths import CORNERS, QUADS, angles, by_libigl, cube, straight
 from scipy.spatial import Delaunay
 
 from spectra_kit.errors import ConvergenceError
 from spectra_kit.geodesics import FacePoint, exact_distances, pair_distances
 from spectra_kit.geometry import TriangleMesh, sphere
-
-CORNERS = [[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
-QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
 
 
 def square(n=60, seed=0, *, caps=0):
@@ -65,11 +62,9 @@ def test_on_a_grid_paths_run_through_vertices():
 
 
 def test_over_a_cube_they_unfold():
-    faces = [face for a, b, c, d in QUADS for face in ([a, b, c], [a, c, d])]
-    cube = TriangleMesh(CORNERS, faces)
     far = np.array(CORNERS).sum(axis=1)  # steps to the other corner
     truth = np.array([0, 1, np.sqrt(2), np.sqrt(5)])[far]
-    np.testing.assert_allclose(exact_distances(cube, 0), truth, atol=1e-14)
+    np.testing.assert_allclose(exact_distances(cube(), 0), truth, atol=1e-14)
     # To the middle of an opposite face: over one face beside, or over two.
     middles = np.array([np.mean([CORNERS[i] for i in quad], axis=0) for quad in QUADS])
     fans = [[q[i], q[(i + 1) % 4], 8 + k] for k, q in enumerate(QUADS) for i in range(4)]
@@ -174,7 +169,7 @@ def test_targets_and_pairs_are_part_of_the_whole():
 def test_faces_without_area_change_nothing():
     mesh = square(caps=10)
     assert mesh.degenerate_faces().sum() >= 10
-    for source in (0, 40, mesh.n - 1):
+    for source in (0, mesh.n - 1):
         expected = straight(mesh.points, source)
         np.testing.assert_allclose(exact_distances(mesh, source), expected, atol=1e-9)
 
@@ -238,9 +233,7 @@ WIDE = BALL.with_points(1.7e308 * BALL.points)  # a diameter is no number
 @pytest.mark.parametrize(
     ("mesh", "sources", "argument", "expected"),
     [
-        (SQUARE.as_cloud(), 0, "mesh", "be a TriangleMesh"),
         (SQUARE, [], "sources", "name at least one source"),
-        (SQUARE, 64, "sources", "be in [0, 64), got 64"),
         (SQUARE, FacePoint(0, [0.2, 0.3, 0.5]), "sources", "be vertices, got a point inside"),
         (LONE, 64, "sources", "lie on the surface, got vertex 64, which no face uses"),
         (LINE, 0, "mesh", "have three corners to a face, got 1 face with a vertex twice"),
@@ -254,6 +247,6 @@ def test_they_refuse(mesh, sources, argument, expected):
 
 def test_triangles_so_thin_that_paths_go_round_and_round_are_given_up():
     needle = BALL.with_points(BALL.points * [1e7, 1, 1])
-    with pytest.raises(ConvergenceError, match="remesh") as caught:
+    with pytest.raises(ConvergenceError, match="remesh, or take geodesic_distance") as caught:
         exact_distances(needle, 5)
     assert caught.value.partial.shape == (BALL.n,)

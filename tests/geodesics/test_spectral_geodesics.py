@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import creature, refused, two_parts
+from conftest import creature, joined, moved, refused, two_parts
 from geodesic_truths import angles, by_libigl, relative_error
 from scipy.linalg import expm
 
@@ -181,9 +181,7 @@ def test_a_second_component_changes_nothing(animal):
     """Modes, mixed or not, of another surface do not reach across."""
     mesh, triangulation, spectrum = animal
     n = mesh.n
-    points = np.vstack([mesh.points, mesh.points + [50.0, 0, 0]])
-    twice = TriangleMesh(points, np.vstack([mesh.faces, mesh.faces + n]))
-    double = intrinsic_delaunay(twice)
+    double = intrinsic_delaunay(joined(mesh, moved(mesh, 50, 0, 0)))
     modes = eigensolve(double.laplacian, 200)
     found = spectral_distance(modes, double, 7)
     assert found[:n] == pytest.approx(spectral_distance(spectrum, triangulation, 7), rel=1e-4)
@@ -204,7 +202,7 @@ def test_clouds_and_spectra_of_other_operators_serve(ball, animal):
 
 
 def test_what_is_refused(animal, pair):
-    mesh, triangulation, spectrum = animal
+    _, triangulation, spectrum = animal
     few, held, other = spectrum.truncate(1), spectrum.nonzero(), pair[1]
     joined = Spectrum(pair[2].eigenvalues[2:], pair[2].eigenvectors[:, 2:], pair[2].mass)
     constant = np.full((other.n, 1), pair[2].area ** -0.5)
@@ -213,17 +211,12 @@ def test_what_is_refused(animal, pair):
     )
     corner = FacePoint(0, [1, 0, 0])
     for call, given, argument, expected in (
-        (spectral_heat, (mesh, 0, 1.0), "spectrum", "be a Spectrum, got a TriangleMesh"),
         (smallest_spectral_time, (few, 0), "spectrum", "have modes outside its kernel"),
         (smallest_spectral_time, (held, 3), "sources", "be on components with a zero mode, got 3"),
-        (smallest_spectral_time, (spectrum, 1500), "sources", "be in [0, 1500), got 1500"),
-        (spectral_distance, (spectrum, mesh, 0), "triangulation", "be an IntrinsicTriangulation"),
         (spectral_distance, (spectrum, other, 0), "triangulation", "have the 1500 points of"),
         (spectral_distance, (joined, other, 0), "sources", "be on components with a zero mode"),
         (spectral_distance, (one, other, 0), "spectrum", "have a zero mode for each of the 2"),
         (spectral_distance, (spectrum, triangulation, []), "sources", "name at least one source"),
         (spectral_distance, (spectrum, triangulation, corner), "sources", "be vertices where"),
-        (spectral_heat, (spectrum, 0, 0.0), "time", "be positive and finite"),
     ):
         refused(argument, expected, call, *given)
-    refused("time", "be positive and", spectral_distance, spectrum, triangulation, 0, time=np.inf)

@@ -16,7 +16,7 @@ from test_match import QUICK, TURN
 import spectra_kit as sk
 from spectra_kit import TriangleMesh
 from spectra_kit.geodesics import edge_graph
-from spectra_kit.geodesics._edge_kernels import farthest_along_edges
+from spectra_kit.geodesics._kernels import farthest_along_edges
 from spectra_kit.geometry import Geometry, creature_pair, permuted, sphere
 from spectra_kit.maps import (
     Prepared,

@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from spectra_kit import eigensolve, robust_laplacian
 from spectra_kit.errors import MissingDependencyError
 from spectra_kit.geometry import TriangleMesh, sphere
 from spectra_kit.show.render import Scene, render
 
 BALL = sphere(subdivisions=3).geometry
+SPECTRUM = eigensolve(robust_laplacian(BALL), 9)
 # Two triangles.
 SQUARE = TriangleMesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]])
 BLUE_TO_RED = np.column_stack([np.arange(256), np.zeros(256), np.arange(256)[::-1]]).astype("u1")

@@ -10,10 +10,10 @@ from functools import partial
 
 import numpy as np
 import pytest
-from drawing import BALL, SQUARE, borders_are_white, can_draw, draw, page  # noqa: F401
+from drawing import BALL, SPECTRUM, SQUARE, borders_are_white, can_draw, draw, page  # noqa: F401
 from scipy.spatial.transform import Rotation
 
-from spectra_kit import eigensolve, robust_laplacian, show
+from spectra_kit import show
 from spectra_kit.eigen.metrics import compare_spectra
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
 from spectra_kit.geometry import PointCloud, TriangleMesh, creature, rectangle, sphere, write
@@ -24,7 +24,6 @@ from spectra_kit.show.render import ball_diameter
 
 SHEET = rectangle(n=200).geometry.points
 ONES, SAME = np.ones(BALL.n), np.arange(BALL.n)
-SPECTRUM = eigensolve(robust_laplacian(BALL), 9)
 PANEL = Panel(values=ONES, limit=1.0)
 PAIR = show.MatchedPair(source=BALL, target=BALL, point_map=SAME)
 TIMES = np.arange(1.0, 9)
@@ -78,54 +77,33 @@ def test_a_view_reaches_the_camera(plot):
 @pytest.mark.parametrize(
     ("plot", "arguments", "argument", "expected", "got"),
     [
-        (Page, {"dpi": 5}, "dpi", "[10, 2400]", "5"),
-        (View, {"turn": np.inf}, "turn", "finite number of degrees", "inf"),
         (panels, {"rows": [[Panel(values=ONES[:3], limit=1.0)]]}, "values", r"\(642,\)", "3"),
-        (panels, {"rows": [[Panel(values=ONES * np.nan, limit=1.0)]]}, "values", "finite", "NaN"),
         (panels, {"rows": []}, "rows", "table of 1 columns", ""),
         (panels, {"columns_named": ["a", "b"]}, "rows", "table of 2 columns", r"\[1\]"),
         (panels, {"rows_named": ["a", "b"]}, "rows_named", "1 names", "2"),
         (comparison, {"modes": [9]}, "modes", r"in \[0, 8\]", "9"),
         (modes, {"modes": []}, "modes", "at least one mode", "none"),
         (modes, {"geometry": SQUARE}, "geometry", "the 642 points", "4"),
-        (modes, {"columns": 0}, "columns", "at least 1", "0"),
         (modes, {"path": "modes.jpg"}, "path", "end in .png, .pdf or .svg", "'modes.jpg'"),
         (fields, {"fields": {}}, "fields", "at least one function", "none"),
         (fields, {"fields": ONES}, "fields", "mapping of names", "ndarray"),
         (fields, {"fields": {"a": ONES[:4]}}, r"fields\['a'\]", r"\(642,\)", "4"),
-        (fields, {"fields": {"a": ONES * np.nan}}, r"fields\['a'\]", "finite", "NaN"),
-        (distance, {"distance": ONES[:3]}, "distance", r"shape \(642,\)", r"\(3,\)"),
-        (distance, {"distance": ONES * np.nan}, "distance", "one number >= 0", "642 NaN"),
         (distance, {"distance": -ONES}, "distance", "one number >= 0", "642 negative"),
         (distance, {"spacing": 1e-3}, "spacing", "at least 0.005", "0.001"),
-        (distance, {"spacing": -1.0}, "spacing", "positive", "-1"),
-        (distance, {"sources": [1, 2, 3]}, "sources", "shape", ""),
         (match, {"point_map": SAME[:5]}, "point_map", r"\(642,\)", r"\(5,\); are .* exchanged"),
-        (match, {"point_map": SAME + 1}, "point_map", r"in \[0, 642\)", "642"),
         (match, {"errors": ONES}, "errors", "MapErrors or None", ".*not say at which points"),
-        (match, {"limit": 0.0}, "limit", "positive", "0"),
         (matches, {"pairs": []}, "pairs", "at least one MatchedPair", "none"),
-        (show.plot_functional_map, {"functional_map": [1.0]}, "functional_map", r"\(k2, k1\)", ""),
         (show.plot_error_curves, {"errors": {}}, "errors", "at least one method", "none"),
         (convergence, {"runs": []}, "runs", "at least one SolverRun", "none"),
-        (convergence, {"rtol": 0.0}, "rtol", "positive", "0"),
         (show.plot_spectrum, {"spectra": {}}, "spectra", "at least one Spectrum", "none"),
         (show.plot_spectrum, {"spectra": {"a": BALL}}, "spectra", "names to Spectrum", "a dict"),
         (show.plot_spectrum, {"spectra": {"b": EMPTY}}, "spectra", "have modes", "none in 'b'"),
-        (several, {"free_boundary": np.inf}, "free_boundary", "finite length", "inf"),
         (several, {"free_boundary": 1}, "free_boundary", "of one surface", "1 for .* areas"),
-        (signatures, {"signature": ONES[:, None]}, "signature", r"\(642, 8\)", ""),
         (signatures, {"scales": TIMES[::-1]}, "scales", "two or more ascending", ""),
         (signatures, {"scales": TIMES - 1}, "scales", "positive times", ".*say kind='wave'"),
-        (signatures, {"points": [642]}, "points", r"in \[0, 642\)", "642"),
         (signatures, {"points": [1, 1]}, "points", "one to 9 different", r"\[1, 1\]"),
         (signatures, {"shown": np.empty(0, int)}, "shown", "one to 9 different", r"\[\]"),
-        (film, {"modes": [9]}, "modes", r"in \[0, 8\]", "9"),
-        (film, {"amplitude": -1.0}, "amplitude", "finite and >= 0", "-1"),
-        (film, {"width": 3}, "width", "at least 16", "3"),
-        (film, {"fps": 0}, "fps", "positive", "0"),
         (film, {"fps": 1e6}, "fps", "at most 20,000 frames", ""),
-        (film, {"seconds_per_mode": 0.0}, "seconds_per_mode", "positive", "0"),
         (partial(replace, RUN), {"times": [0.0]}, "times", "ascending", r"shapes \(1,\) and \(2,"),
         (partial(replace, RUN), {"times": [1, 0]}, "times", "ascending", ""),
     ],
@@ -272,13 +250,6 @@ def test_short_numbers(value, text):
     assert short(value) == text
 
 
-def without(fake, tmp_path, monkeypatch):
-    """Put a `pyvista` in front of the real one, for new processes only."""
-    (tmp_path / "pyvista.py").write_text(fake)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    render.end_drawing()
-
-
 def test_a_geometry_may_be_a_file_and_so_may_the_picture(tmp_path):
     lone = TriangleMesh(SQUARE.points[:3], [[0, 1, 2]])
     write(lone, mesh := tmp_path / "lone.obj")
@@ -343,6 +314,15 @@ def test_what_fails_in_the_process_that_draws_is_told_and_the_picture_kept(
 
 
 def test_one_process_draws_all_pictures_until_it_dies(monkeypatch):
+    first = draw(BALL)[0]
+    running = render._of_this_process().renderer._process
+
+    def interrupt(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        film(modes=[1], amplitude=0.0, width=60, progress=interrupt)
+    assert running.wait(10) == -signal.SIGKILL
     processes = []
 
     class Recorded(subprocess.Popen):
@@ -351,27 +331,17 @@ def test_one_process_draws_all_pictures_until_it_dies(monkeypatch):
             processes.append(self)
 
     monkeypatch.setattr(subprocess, "Popen", Recorded)
-    render.end_drawing()
-    first, again = (draw(BALL)[0] for _ in range(2))
-    assert np.array_equal(first, again)
+    assert all(np.array_equal(draw(BALL)[0], first) for _ in range(2))
     assert len(processes) == 1
     processes[0].kill()
-
-    def interrupt(done, total):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):  # by the one that came in its place
-        film(modes=[1], amplitude=0.0, width=60, progress=interrupt)
-    assert processes[-1].wait(10) == -signal.SIGKILL
     assert np.array_equal(draw(BALL)[0], first)
-    n = len(processes)
     with pytest.raises(IndexError, match="out of bounds") as caught:
         draw(BALL, [np.zeros(5)])
     assert "in the process that draws" in caught.value.__notes__[0]
     assert np.array_equal(draw(BALL)[0], first)
-    assert len(processes) == n  # it goes on
+    assert len(processes) == 2  # it goes on
     render.end_drawing()
-    assert [process.poll() is None for process in processes] == [False] * len(processes)
+    assert [process.poll() is None for process in processes] == [False] * 2
 
 
 def test_a_signal_while_another_process_draws_ends_this_one_by_it(tmp_path):
@@ -399,7 +369,7 @@ def test_a_signal_while_another_process_draws_ends_this_one_by_it(tmp_path):
     assert process.returncode == -signal.SIGTERM
 
 
-BACKENDS = {"module://matplotlib_inline.backend_inline": "", "no_backend": "", "svg": "svg"}
+BACKENDS = {"no_backend": "", "svg": "svg"}
 DRAWS = """
 import sys
 from spectra_kit import Spectrum, show
@@ -452,13 +422,14 @@ def test_most_animals_that_lie_on_their_backs_are_turned_over(real_shapes):
     # SMAL's feet point along y.
     folder = real_shapes.parent / "smal_r"
     upright = []
-    for path in sorted(folder.glob("*.npz")):
+    for path in sorted(folder.glob("*.npz"))[::3]:
         with np.load(path) as data:
             upright.append(View().rotation(TriangleMesh(data["V"], data["F"]))[1, 1] < -0.9)
     assert np.mean(upright) > 0.5
 
 
-def test_a_mesh_is_drawn_plain_and_from_where_it_is_asked(tmp_path):
+def test_a_mesh_is_drawn_plain_and_from_where_it_is_asked(tmp_path, monkeypatch):
+    monkeypatch.setattr("spectra_kit.show.thumbnails._WIDEST", 0.3)  # inches: a vertex to a pixel
     animal = creature(600)
     first, other = (
         animal.plot(tmp_path / f"{name}.png", view=view).path.read_bytes()

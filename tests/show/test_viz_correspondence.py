@@ -1,4 +1,4 @@
-"""Pictures of maps: colours that travel with them, errors, matrices and curves."""
+"""Pictures of maps and of classes: colours that travel, errors, matrices and curves."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,17 @@ from drawing import can_draw, draw, grey, page  # noqa: F401
 
 from spectra_kit.geometry import creature_pair, sphere
 from spectra_kit.maps import Truth, map_errors
-from spectra_kit.show import MatchedPair, Page, View, plot_correspondence, plot_functional_map
+from spectra_kit.show import (
+    MatchedPair,
+    Page,
+    Thumbnail,
+    View,
+    plot_correspondence,
+    plot_functional_map,
+    plot_thumbnails,
+)
 from spectra_kit.show.colours import UNKNOWN, error_colours, position_colours, refined
+from spectra_kit.show.thumbnails import _palette, _scene
 
 BOX = np.zeros(3), np.ones(3)
 BALL = sphere(subdivisions=2).geometry
@@ -114,3 +123,34 @@ def test_a_functional_map_is_dark_where_it_is_large(tmp_path):
     plot_functional_map(np.eye(20)[:15], path=tmp_path / "c.png", page=Page(dpi=50))
     matrix = page(tmp_path / "c.png")
     assert (matrix[..., 0] - matrix[..., 2] > 60).sum() > 100  # the diagonal is dark red
+
+
+# --- classes of points ---
+
+
+def test_every_vertex_has_the_colour_of_its_class_and_triangles_change_halfway():
+    labels = (BALL.points[:, 2] > 0).astype(int) * 2
+    scene = _scene(Thumbnail(geometry=BALL, labels=labels), View(), 30)
+    (colours,) = scene.functions
+    palette = _palette(3)
+    np.testing.assert_array_equal(colours[: BALL.n], palette[labels])
+    assert {tuple(c) for c in colours} == {tuple(palette[0]), tuple(palette[2])}
+    height = scene.geometry.points[:, 2]
+    share = (colours == palette[2]).all(axis=1)
+    assert height[share].min() > height[~share].max() - 0.4
+
+
+def test_first_colours_are_apart():
+    colours = _palette(8).astype(int)
+    gaps = np.abs(colours[:, None] - colours[None]).sum(axis=2) + 999 * np.eye(8, dtype=int)
+    assert gaps.min() > 45
+
+
+def test_many_classes_take_no_more_room_than_there_are_and_later_ones_are_paler():
+    _scene(Thumbnail(geometry=BALL, labels=np.full(162, 60_000)), View(), 30)
+    colours = _palette(24).astype(int)
+    assert len({tuple(c) for c in colours}) == 24
+
+
+def test_there_must_be_one():
+    refused("thumbnails", "hold at least one", plot_thumbnails, [])

@@ -16,10 +16,10 @@ from spectra_kit.features import (
     wave_energies,
     wave_kernel_signature,
 )
-from spectra_kit.show import Page, Panel, View
+from spectra_kit.show import Page, Panel, View, plot_spectrum
 from spectra_kit.show.layout import LINE_COLOURS
 from spectra_kit.show.signatures import _pictures, draw_curves
-from spectra_kit.show.spectra import spectrum_figure, weyl_law
+from spectra_kit.show.spectra import weyl_law
 
 LAPLACIAN = robust_laplacian(BALL)
 EXACT = eigensolve(LAPLACIAN, 16, Dense())
@@ -35,9 +35,9 @@ def rough():
     return Spectrum(np.maximum(values, 0.0), ortho @ turn, EXACT.mass).certify(LAPLACIAN)
 
 
-def figure_of(*spectra, weyl=True):
+def figure_of(*spectra, **options):
     named = {f"spectrum {i}": spectrum for i, spectrum in enumerate(spectra)}
-    return spectrum_figure(named, weyl, Page("title", dpi=50))
+    return plot_spectrum.__wrapped__(named, page=Page("title", dpi=50), **options)
 
 
 def markers(panel, colour):
@@ -157,7 +157,7 @@ def test_weyls_second_term_is_that_of_a_rectangle(held):
 
 
 def test_the_second_term_is_drawn_and_told():
-    lines = spectrum_figure({"": EXACT}, True, Page(), -3.0).axes[0].lines
+    lines = figure_of(EXACT, free_boundary=-3.0).axes[0].lines
     (line,) = (line for line in lines if str(line.get_label()).startswith("Weyl"))
     told = f"√λ) / 4π, for the area {EXACT.area:.4g} and a held boundary of length 3"
     assert line.get_label().endswith(told)

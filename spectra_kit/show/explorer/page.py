@@ -40,7 +40,7 @@ from spectra_kit.show.explorer.payload import (
     quantised,
     renumbered,
     spectrum_facts,
-    steps16,
+    steps,
     walk,
 )
 from spectra_kit.show.render import ball_diameter
@@ -164,8 +164,8 @@ def write_explorer(
     order = walk(drawn)
     carried = [np.asarray((carry @ f)[order]) for f in functions]
     scale = np.max([np.abs(f).max(axis=0) for f in carried], axis=0)
-    steps = [quantised(f, scale) for f in carried]
-    errors = [np.abs(s * (scale / LEVELS) - f) for s, f in zip(steps, carried, strict=True)]
+    values = [quantised(f, scale) for f in carried]
+    errors = [np.abs(v * (scale / LEVELS) - f) for v, f in zip(values, carried, strict=True)]
     tell()
 
     palette = diverging_colours(np.linspace(-1.0, 1.0, 256))
@@ -185,7 +185,7 @@ def write_explorer(
     if predicted is not None and comparison is not None:
         facts["predicted"] = spectrum_facts(predicted, comparison.match)
         facts["comparison"] = comparison_facts(comparison)
-    size = _write(path, facts, drawn, order, steps)
+    size = _write(path, facts, drawn, order, values)
     tell()
     return Explorer(
         path=Path(path),
@@ -251,21 +251,21 @@ def _write(
     """Write the file; return its size in bytes."""
     points = geometry.points[order]
     low, side = points.min(axis=0), float(np.ptp(points, axis=0).max()) or 1.0
-    steps = np.round((points - low) * (_BOX / side)).astype(np.int64)
+    positions = np.round((points - low) * (_BOX / side)).astype(np.int64)
     # The page draws in a box of side one: it needs the form, and numbers of a fit size.
     facts["box"] = (np.ptp(points, axis=0) / side).tolist()
     facts["shown"] = geometry.n
     facts["diameter"] = ball_diameter(geometry) / side
-    parts = [steps16(steps)]
+    parts = [steps(positions, 16)]
     triangles = renumbered(triangles_of(geometry), order)
     if isinstance(geometry, TriangleMesh):
         facts["faces"] = len(triangles)
     else:  # they carry its nodal lines alone
         facts |= {"faces": 0, "stars": len(triangles)}
-        parts.append(steps16(normal_steps(geometry)[order]))
+        parts.append(steps(normal_steps(geometry)[order], 16))
     blocks = {"geometry": packed(*parts, face_bytes(triangles))}
     for name, values in zip(("exact", "predicted"), functions, strict=False):
-        blocks[name] = packed(steps16(values))
+        blocks[name] = packed(steps(values, 16))
     text = assembled(facts, blocks).encode("utf-8")
     with atomic_path(path) as part:
         part.write_bytes(text)

@@ -65,27 +65,19 @@ def renumbered(faces: NDArray[np.integer], order: Ints) -> Ints:
     return np.asarray(rows[np.lexsort(rows.T[::-1])])
 
 
-def steps16(columns: NDArray[np.integer]) -> bytes:
-    """Store columns (n, c) of 16-bit numbers, one after the other."""
-    wide = columns.astype(np.int32)
-    delta = np.diff(wide, axis=0, prepend=0).astype(np.int16).astype(np.int32)
-    zigzag = ((delta << 1) ^ (delta >> 31)).astype(np.uint16).T
-    planes = np.stack([zigzag >> 8, zigzag & 255], axis=1)  # (c, 2, n)
-    return planes.astype(np.uint8).tobytes()
-
-
-def steps32(numbers: Ints) -> bytes:
-    """Store whole numbers below 2^31 likewise, in four planes of bytes."""
-    delta = np.diff(numbers, prepend=0)
-    zigzag = ((delta << 1) ^ (delta >> 63)).astype(np.uint32)
-    planes = [(zigzag >> shift) & 255 for shift in (24, 16, 8, 0)]
-    return np.stack(planes).astype(np.uint8).tobytes()
+def steps(columns: NDArray[np.integer], bits: int) -> bytes:
+    """Store columns (n, c) of whole numbers of 16 or 32 bits, one after the other."""
+    delta = np.diff(columns, axis=0, prepend=0)
+    wrapped: Ints = delta.astype(f"i{bits // 8}").astype(np.int64)
+    zigzag = ((wrapped << 1) ^ (wrapped >> 63)).T
+    planes = [(zigzag >> shift) & 255 for shift in range(bits - 8, -1, -8)]
+    return np.stack(planes, axis=1).astype(np.uint8).tobytes()
 
 
 def face_bytes(faces: Ints) -> bytes:
     """Store sorted faces: the first corner by its steps, the others by how far they are from it."""
-    first = faces[:, 0]
-    return steps32(first) + steps32(faces[:, 1] - first) + steps32(faces[:, 2] - first)
+    first = faces[:, :1]
+    return steps(np.hstack([first, faces[:, 1:] - first]), 32)
 
 
 def packed(*parts: bytes) -> str:
