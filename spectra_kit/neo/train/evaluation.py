@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -22,7 +22,7 @@ from spectra_kit.neo.train.checkpoint import Row
 from spectra_kit.neo.train.config import TrainConfig
 from spectra_kit.neo.train.corpus import Corpus
 from spectra_kit.neo.train.families import FAMILIES
-from spectra_kit.neo.train.loader import for_validation, posed
+from spectra_kit.neo.train.loader import Batch, for_validation, posed
 from spectra_kit.operators.laplacian import Laplacian
 
 _DTYPES = {"float32": None, "bfloat16": torch.bfloat16, "float16": torch.float16}
@@ -36,69 +36,54 @@ def validate(
     *,
     threads: ThreadPoolExecutor | None = None,
 ) -> Row:
-    """Return the span errors of a network on the first samples of a corpus.
+    """Return the span errors of a network, in evaluation mode, on the first samples of a corpus.
 
-    Parameters
-    ----------
-    network : NeoNetwork
-        In evaluation mode.
-    corpus : Corpus
-        Of samples that it was not trained on.
-    config : TrainConfig
-        How many, in which pose, and how they are smoothed.
-    threads : ThreadPoolExecutor, optional
-        To work in.
-
-    Returns
-    -------
-    dict of str to float
-        ``validation``, of the prediction, and, of samples with operators, ``smoothed``: means over
-        modes and samples, or if ``config.relative`` geometric means over the samples.
+    ``validation``, of the prediction, and, of samples with operators, ``smoothed``: means over
+    modes and samples, or if ``config.relative`` geometric means over the samples. `threads` share
+    the work.
     """
     device = next(network.parameters()).device
     n = min(config.validation, len(corpus))
 
     @torch.no_grad()
-    def errors(first: int) -> list[Tensor]:
+    def errors(first: int) -> Tensor:
         indices = range(first, min(first + 8, n))
         whole = for_validation(posed(corpus.batch(indices), config), config, first)
-        points, mass, U, smoothers = whole.to(device)
-        with autocast(device.type, config.precision):
-            F = network(points, mass)
-        if smoothers:
-            return [left.mean(-1) for left in smoothed_residuals(F, mass, U, *smoothers)]
-        return [mode_residuals(F, mass, U).mean(-1)]
+        return predicted(network, whole.to(device), config)[1]
 
     apply = map if threads is None else threads.map
-    found = zip(*apply(errors, range(0, n, 8)), strict=True)
-    names = ("validation", "smoothed")
+    found = torch.cat([*apply(errors, range(0, n, 8))], dim=1).double().cpu().numpy()
     mean = typical if config.relative else np.mean
-    parts = (torch.cat(part).double().cpu().numpy() for part in found)
-    return {name: float(mean(part)) for name, part in zip(names, parts, strict=False)}
+    names = ("validation", "smoothed")
+    return {name: float(mean(part)) for name, part in zip(names, found, strict=False)}
+
+
+def predicted(
+    network: Callable[[Tensor, Tensor], Tensor], batch: Batch, config: TrainConfig
+) -> tuple[Tensor, Tensor]:
+    """Return the functions that a network predicts, and the errors of the samples, (1 or 2, b).
+
+    Means over the modes: span errors and, where there are operators, what smoothing leaves of them.
+    """
+    points, mass, U, smoothers = batch
+    dtype = _DTYPES[config.precision]
+    with torch.autocast(points.device.type, dtype=dtype, enabled=dtype is not None):
+        F = network(points, mass)
+    if smoothers:
+        return F, torch.stack(smoothed_residuals(F, mass, U, *smoothers)).mean(-1)
+    return F, mode_residuals(F, mass, U).mean(-1)[None]
 
 
 def errors_of(
     solver: Neo | Cascade, corpus: Corpus, *, most: int | None = None
 ) -> dict[str, Floats]:
-    """Return the errors of a solver on the samples of a corpus with operators.
+    """Return the errors of a solver on the samples of a corpus with operators, or its first ones.
 
-    Parameters
-    ----------
-    solver : Neo or Cascade
-        With its weights, or another subspace, and its smoothing.
-    corpus : Corpus
-        Of few samples of many points, as users bring them.
-    most : int, optional
-        Only so many samples, the first ones.
-
-    Returns
-    -------
-    dict of str to ndarray of shape (s,)
-        Means over the modes of each sample: ``predicted``, the span error of all predicted
-        functions; ``span``, that of the k modes after smoothing; ``value``, the relative error of
-        their eigenvalues, the constant's left out. And ``steps``, which the solver took: it goes on
-        until it is as good as asked for, so these tell more of a network than the errors, or its
-        errors after ``max_steps=1``.
+    Best of few samples of many points, as users bring them. Means over the modes of each sample:
+    ``predicted``, the span error of all predicted functions; ``span``, that of the k modes after
+    smoothing; ``value``, the relative error of their eigenvalues, the constant's left out. And
+    ``steps``, which the solver took: it goes on until it is as good as asked for, so these tell
+    more of a network than the errors, or its errors after ``max_steps=1``.
 
     Examples
     --------
@@ -161,9 +146,3 @@ def kinds(labels: Mapping[str, NDArray[np.int64]]) -> NDArray[np.str_]:
     return np.array(
         [f"{form} of a {names[i]}" for form, i in zip(forms, labels["family"], strict=True)]
     )
-
-
-def autocast(device: str, precision: str) -> torch.autocast:
-    """Return the context in which a network computes in a precision."""
-    dtype = _DTYPES[precision]
-    return torch.autocast(device, dtype=dtype, enabled=dtype is not None)
