@@ -21,7 +21,7 @@ from spectra_kit.eigen.subspaces import AmbientFourier
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, torus
 from spectra_kit.neo.train import corpus, families, samples, surfaces
-from spectra_kit.neo.train.corpus import count, generate, open_shards, write_shard
+from spectra_kit.neo.train.corpus import generate, open_shards, report, write_shard
 from spectra_kit.neo.train.evaluation import errors_of, typical
 from spectra_kit.neo.train.families import FAMILIES
 from spectra_kit.neo.train.pool import open_pool, pack_pool, varied
@@ -208,7 +208,7 @@ def test_written_corpus_is_orthonormal_and_counted(folder):
     vectors = eigenvectors.astype(np.float64)
     gram = np.einsum("sni,sn,snj->sij", vectors, mass, vectors)
     np.testing.assert_allclose(gram, np.broadcast_to(np.eye(6), gram.shape), atol=3e-3)
-    counts = count(open_shards(folder).labels)
+    counts = report(folder)
     assert counts.samples == sum(counts.families.values()) == 10
     assert [len(shard.mass) for shard in open_shards(folder).shards] == [4, 4, 2]
 
@@ -232,7 +232,7 @@ def test_an_interrupted_run_leaves_whole_shards_and_is_resumed(folder, tmp_path,
         patch.setattr(corpus, "make_sample", interrupted)
         with pytest.raises(KeyboardInterrupt):
             generate(tmp_path, 10, config=TINY)
-    assert count(open_shards(tmp_path).labels).samples == 4
+    assert report(tmp_path).samples == 4
     before = (tmp_path / "shard_0000" / "points.npy").stat().st_mtime_ns
     generate(tmp_path, 10, config=TINY)
     assert (tmp_path / "shard_0000" / "points.npy").stat().st_mtime_ns == before
@@ -493,7 +493,7 @@ def test_corpus_draws_only_meshes_of_its_split_and_as_many_as_its_share(pool, tm
     labels = open_shards(tmp_path).labels
     assert set(labels["pool"].tolist()) == {0, 1, 2}
     assert (labels["family"] == FROM_POOL).all()
-    assert count(open_shards(tmp_path).labels).families["pool"] == 8
+    assert report(tmp_path).families["pool"] == 8
     assert make_sample(of_pool(pool, pool_split="val"), 1).label(0)["pool"] == 0
     with pytest.raises(InvalidInputError, match=r"another configuration: \['pool'\] differ"):
         generate(tmp_path, 8, config=of_pool(pool, pool_split="val"))

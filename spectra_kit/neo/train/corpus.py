@@ -154,9 +154,16 @@ def shuffled(n: int, config: TrainConfig, step: int) -> NDArray[np.int64]:
 
 
 def write_shard(folder: str | os.PathLike[str], index: int, samples: Samples) -> Path:
-    """Write shard number `index`, all of it or nothing, and return its folder.
+    """Write one shard, all of it or nothing, and return its folder.
 
-    The samples must be finite, with masses that sum to one. An existing shard is never overwritten.
+    Parameters
+    ----------
+    folder : path
+        The corpus; made if missing.
+    index : int
+        Number of the shard. An existing shard is never overwritten.
+    samples : Samples
+        Finite, with masses that sum to one.
     """
     for name, array in samples.arrays().items():
         if not (array.size and np.isfinite(array).all()):
@@ -187,8 +194,12 @@ def write_shard(folder: str | os.PathLike[str], index: int, samples: Samples) ->
 def open_shards(*folders: str | os.PathLike[str]) -> Corpus:
     """Open every complete shard of corpora, in the order of their numbers, without reading it.
 
-    Opening again later sees shards that were added since. The samples of a folder that is named
-    twice count twice.
+    Opening again later sees shards that were added since.
+
+    Parameters
+    ----------
+    *folders : path
+        Where `write_shard` wrote. The samples of one that is named twice count twice.
     """
     return Corpus([_open_shard(path) for folder in folders for path in _paths(Path(folder))])
 
@@ -241,12 +252,28 @@ def generate(
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> CorpusReport:
-    """Generate a corpus of `n` samples in all, or what is missing of it in a folder.
+    """Generate a corpus of `n` samples, or what is missing of it.
 
-    The configuration must equal the one that the folder was begun with. `workers` are processes of
-    one thread each; one works in this process, and the result does not depend on their number.
-    `progress` is called after each sample with the numbers of samples done and to do in this run.
+    Parameters
+    ----------
+    folder : path
+        Made if missing. Shards that it already holds are kept.
+    n : int
+        Samples in all, existing ones included.
+    config : CorpusConfig
+        Must equal the one that the folder was begun with.
+    workers : int, default 1
+        Processes, each of one thread; 1 works in this process. The result does not depend on it.
+    progress : callable, optional
+        Called after each sample with the numbers of samples done and to do in this run.
 
+    Returns
+    -------
+    CorpusReport
+        Counts over the whole folder.
+
+    Notes
+    -----
     Shards appear one by one and whole: training may start on the first, and Ctrl-C loses at most
     the one in work. With ``workers > 1`` a script must guard its top level with
     ``if __name__ == "__main__"``, because the processes are spawned.
@@ -281,7 +308,12 @@ def generate(
                 if progress is not None:
                     progress(done, len(indices))
             write_shard(root, i, Samples.joined(shard))
-    return count(open_shards(root).labels)
+    return report(root)
+
+
+def report(folder: str | os.PathLike[str]) -> CorpusReport:
+    """Count the samples in the complete shards of a folder, and the draws rejected for them."""
+    return count(open_shards(folder).labels)
 
 
 def count(labels: Mapping[str, ArrayLike]) -> CorpusReport:

@@ -36,11 +36,24 @@ def validate(
     *,
     threads: ThreadPoolExecutor | None = None,
 ) -> Row:
-    """Return the span errors of a network, in evaluation mode, on the first samples of a corpus.
+    """Return the span errors of a network on the first samples of a corpus.
 
-    ``validation``, of the prediction, and, of samples with operators, ``smoothed``: means over
-    modes and samples, or if ``config.relative`` geometric means over the samples. `threads` share
-    the work.
+    Parameters
+    ----------
+    network : NeoNetwork
+        In evaluation mode.
+    corpus : Corpus
+        Of samples that it was not trained on.
+    config : TrainConfig
+        How many, in which pose, and how they are smoothed.
+    threads : ThreadPoolExecutor, optional
+        To work in.
+
+    Returns
+    -------
+    dict of str to float
+        ``validation``, of the prediction, and, of samples with operators, ``smoothed``: means over
+        modes and samples, or if ``config.relative`` geometric means over the samples.
     """
     device = next(network.parameters()).device
     n = min(config.validation, len(corpus))
@@ -77,13 +90,25 @@ def predicted(
 def errors_of(
     solver: Neo | Cascade, corpus: Corpus, *, most: int | None = None
 ) -> dict[str, Floats]:
-    """Return the errors of a solver on the samples of a corpus with operators, or its first ones.
+    """Return the errors of a solver on the samples of a corpus with operators.
 
-    Best of few samples of many points, as users bring them. Means over the modes of each sample:
-    ``predicted``, the span error of all predicted functions; ``span``, that of the k modes after
-    smoothing; ``value``, the relative error of their eigenvalues, the constant's left out. And
-    ``steps``, which the solver took: it goes on until it is as good as asked for, so these tell
-    more of a network than the errors, or its errors after ``max_steps=1``.
+    Parameters
+    ----------
+    solver : Neo or Cascade
+        With its weights, or another subspace, and its smoothing.
+    corpus : Corpus
+        Of few samples of many points, as users bring them.
+    most : int, optional
+        Only so many samples, the first ones.
+
+    Returns
+    -------
+    dict of str to ndarray of shape (s,)
+        Means over the modes of each sample: ``predicted``, the span error of all predicted
+        functions; ``span``, that of the k modes after smoothing; ``value``, the relative error of
+        their eigenvalues, the constant's left out. And ``steps``, which the solver took: it goes on
+        until it is as good as asked for, so these tell more of a network than the errors, or its
+        errors after ``max_steps=1``.
 
     Examples
     --------

@@ -200,9 +200,19 @@ def _deform(mesh: TriangleMesh, rng: Rng, likely: float) -> TriangleMesh:
 
 
 def make_mesh(family: str, seed: int | tuple[int, ...]) -> TriangleMesh:
-    """Make one random mesh of a family: same seed, same mesh.
+    """Make one random mesh.
 
-    Of order one in size, in some pose; a few thousand to some ten thousand vertices.
+    Parameters
+    ----------
+    family : str
+        A key of `FAMILIES`.
+    seed : int or tuple of int
+        Same seed, same mesh.
+
+    Returns
+    -------
+    TriangleMesh
+        Of order one in size, in some pose; a few thousand to some ten thousand vertices.
 
     Examples
     --------

@@ -71,7 +71,12 @@ class MeshPool:
 def open_pool(path: str | os.PathLike[str], split: str) -> MeshPool:
     """Read the meshes of one split; a second call reads nothing unless files have changed.
 
-    Of a folder of chunks with its manifest, or of a file of `pack_pool`, which holds one split.
+    Parameters
+    ----------
+    path : path
+        A folder of chunks with its manifest, or a file of `pack_pool`.
+    split : str
+        As in the manifest, e.g. ``"train"`` or ``"val"``. A packed file holds one split only.
 
     Examples
     --------
@@ -137,8 +142,16 @@ def varied(
 def pack_pool(path: str | os.PathLike[str], target: str | os.PathLike[str], split: str) -> MeshPool:
     """Write one split of a pool into a single small file, for machines that get only files.
 
-    Returns what was written, equal to `open_pool` of the target. That is an ``.npz`` file, smaller
-    than the chunks, because it is packed with LZMA.
+    Returns what was written, equal to `open_pool` of `target`.
+
+    Parameters
+    ----------
+    path : path
+        The pool.
+    target : path
+        The file to write, ``.npz``; smaller than the chunks, because it is packed with LZMA.
+    split : str
+        Which meshes.
     """
     if Path(target).suffix != ".npz":
         raise InvalidInputError("target", "end in .npz", repr(os.fspath(target)))

@@ -162,6 +162,30 @@ def common_labels(parts: Sequence[Samples]) -> dict[str, NDArray[np.int64]]:
 class CorpusConfig:
     """What a corpus is made of; two runs with equal configurations write equal samples.
 
+    Parameters
+    ----------
+    seed : int
+        Use different ones for training and validation.
+    n_points : int
+        Points per sample: of a cloud all, of a mesh at most.
+    k : int
+        Modes per sample, the constant one included.
+    shard_size : int
+        Samples per shard.
+    nonuniform : float
+        Fraction of samples whose points crowd around one spot.
+    pool : path, optional
+        Real meshes to draw from as well; see `open_pool`.
+    pool_split : str
+        The split of the pool to draw from.
+    pool_share : float
+        Fraction of samples that are real meshes, each varied at random.
+    mesh_share : float
+        Fraction of samples, real or not, that are the vertices of a mesh with its operator.
+        The others are clouds.
+    weights : dict of str to float
+        Weights of `FAMILIES` that are to be others.
+
     Examples
     --------
     >>> from spectra_kit.neo.train.samples import CorpusConfig
@@ -169,18 +193,16 @@ class CorpusConfig:
     288
     """
 
-    seed: int  #: another one for training than for validation
-    n_points: int = 2048  #: per sample: of a cloud all, of a mesh at most
-    k: int = 96  #: modes per sample, the constant one included
-    shard_size: int = 128  #: samples per shard
-    nonuniform: float = 0.1  #: fraction of samples whose points crowd around one spot
-    pool: str | os.PathLike[str] | None = None  #: real meshes to draw from; see `open_pool`
-    pool_split: str = "train"  #: of the pool, to draw from
-    pool_share: float = 0.0  #: fraction of samples that are real meshes, each varied at random
-    #: Fraction of samples, real or not, that are the vertices of a mesh with its operator. The
-    #: others are clouds.
+    seed: int
+    n_points: int = 2048
+    k: int = 96
+    shard_size: int = 128
+    nonuniform: float = 0.1
+    pool: str | os.PathLike[str] | None = None
+    pool_split: str = "train"
+    pool_share: float = 0.0
     mesh_share: float = 0.0
-    weights: dict[str, float] = field(default_factory=dict)  #: of `FAMILIES`, to be others
+    weights: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_count("seed", self.seed, low=0)
@@ -214,12 +236,22 @@ class CorpusConfig:
 
 
 def make_sample(config: CorpusConfig, index: int) -> Samples:
-    """Make sample number `index` of a corpus, from 0, in any order.
+    """Make sample number `index` of a corpus.
 
-    Its points are centred in the unit box, its eigenvalues of a surface of area one. Labels:
-    ``family`` (place in `FAMILIES`, or `FROM_POOL`), ``pool`` (number of the mesh in the pool,
-    or -1), ``mesh`` (0 for a cloud, 1 for a mesh), ``index``, ``nonuniform`` (0 or 1), ``n``
-    points, and how often each reason of rejection came up before.
+    Parameters
+    ----------
+    config : CorpusConfig
+        Of the whole corpus.
+    index : int
+        From 0; any order.
+
+    Returns
+    -------
+    Samples
+        This one; points centred in the unit box, eigenvalues of a surface of area one. Labels:
+        ``family`` (place in `FAMILIES`, or `FROM_POOL`), ``pool`` (number of the mesh in the pool,
+        or -1), ``mesh`` (0 for a cloud, 1 for a mesh), ``index``, ``nonuniform`` (0 or 1), ``n``
+        points, and how often each reason of rejection came up before.
     """
     laplacian, values, modes, labels = exact_sample(config, index)
     rest = config.n_points - laplacian.n

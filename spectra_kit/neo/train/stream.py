@@ -46,17 +46,30 @@ _SPARE = 4  # shards before the last window that are kept: a run may go on from 
 class SampleStream(Source):
     """An endless corpus: sample `start`, `start` + 1, ... of a configuration, the newest at hand.
 
-    Sample number i is the one that `make_sample` makes, in so many `workers`, processes of one
-    thread each. The buffer grows to `capacity` samples, of which one of 2,048 points and 96 modes
-    takes 0.5 MB; then the oldest make room. Reading waits for nothing. With `ahead`, samples are
-    made as they are asked for, by `window`, which waits for them: about so many beyond the last
-    window, at most.
+    Sample number i is the one that `make_sample` makes. The buffer grows to `capacity`; then the
+    oldest samples make room. Reading waits for nothing. With `ahead`, samples are made as they are
+    asked for, by `window`, which waits for them.
 
-    A `folder`, which is for nothing else, keeps the latest in whole shards: those from `start` on,
-    a multiple of the shard size, that are there already fill the buffer at once, and the stream
-    goes on behind the last. Older ones than the last `capacity` samples are removed, and at first
-    those that are not needed from `start` on, or come behind a gap.
+    Parameters
+    ----------
+    config : CorpusConfig
+        What the samples are made of.
+    workers : int
+        Processes that make them, each of one thread.
+    capacity : int
+        Samples to hold; one of 2,048 points and 96 modes takes 0.5 MB.
+    start : int, default 0
+        Number of the first sample. With a `folder`, a multiple of the shard size.
+    folder : path, optional
+        For nothing else. Keep whole shards there: those from `start` on that are there already fill
+        the buffer at once, and the stream goes on behind the last. Shards that are older than the
+        last `capacity` samples are removed, and at first those that are not needed from `start` on,
+        or come behind a gap.
+    ahead : int, optional
+        Make at most about so many samples beyond the last `window`.
 
+    Notes
+    -----
     Use it in a ``with`` block: entering starts the processes, and leaving it ends them, also on
     Ctrl-C. They end by themselves if this process is killed. Scripts must guard their top level
     with ``if __name__ == "__main__"``, because the processes are spawned.

@@ -88,8 +88,12 @@ def train(
 
     Parameters
     ----------
-    corpus, validation, config
-        What to learn from, what to measure the span error on, and the run.
+    corpus : Corpus or SampleStream
+        What to learn from.
+    validation : Corpus
+        Other samples, to measure the span error on.
+    config : TrainConfig
+        The run.
     out : path, optional
         Folder for ``checkpoint.pt`` and ``log.csv``; nothing is written without it.
     resume : bool, default False
@@ -102,13 +106,16 @@ def train(
         Where to compute.
     pause_after : float, optional
         Stop as if by Ctrl-C, with a checkpoint, this many seconds after the call, but not before a
-        step is made. With `last`, end the schedule by then: the rate falls in the time that is
-        left.
+        step is made.
+    last : bool, default False
+        Rather than pause, end the schedule by then: the rate falls in the time that is left.
     tensorboard : bool, default False
         Write event files too, into ``out/events``.
-    report, hourly : callable, optional
-        Called with every row of the log as it is made; and, for each hour of CPU time that the run
-        has taken so far, with the averaged network and a row, validated.
+    report : callable, optional
+        Called with every row of the log as it is made.
+    hourly : callable, optional
+        Called with the averaged network and a row, validated, for each hour of CPU time that the
+        run has taken so far.
 
     Examples
     --------
