@@ -94,7 +94,13 @@ class Source:
 
 
 class Corpus(Source):
-    """The samples of shards, numbered through; of files by `open_shards`, as memory maps."""
+    """The samples of shards, numbered through; of folders of them by `open_shards`.
+
+    Parameters
+    ----------
+    shards : sequence of Samples
+        Of folders, memory maps.
+    """
 
     def __init__(self, shards: Sequence[Samples]) -> None:
         sizes = {(s.mass.shape[1], s.eigenvectors.shape[2]) for s in shards}
@@ -235,12 +241,21 @@ def _open_shard(path: Path) -> Samples:
 
 @dataclass(frozen=True)
 class CorpusReport:
-    """What lies in a corpus, and what was turned down on the way."""
+    """What lies in a corpus, and what was turned down on the way.
+
+    Parameters
+    ----------
+    samples : int
+        Number of samples.
+    families : dict of str to int
+        Samples of each family, and of the ``pool``.
+    rejected : dict of str to int
+        Draws that were thrown away and drawn again: an empty ``mesh``, a cloud whose Laplacian
+        falls apart into several ``components``, an eigensolve that failed (``solve``).
+    """
 
     samples: int
-    families: dict[str, int]  #: samples of each, and of the ``pool``
-    #: Draws that were thrown away and drawn again: an empty ``mesh``, a cloud whose Laplacian falls
-    #: apart into several ``components``, an eigensolve that failed (``solve``).
+    families: dict[str, int]
     rejected: dict[str, int]
 
 

@@ -32,12 +32,24 @@ _WARP = 0.7  # then three of ten stay as they are
 
 @dataclass(frozen=True, eq=False)
 class MeshPool:
-    """Meshes of one split, numbered through in the order of their names; see `open_pool`."""
+    """Meshes of one split, numbered through in the order of their names; see `open_pool`.
 
-    points: list[NDArray[np.float16]]  #: of each mesh, (n, 3)
-    faces: list[NDArray[np.uint16]]  #: of each mesh, (f, 3)
-    names: tuple[str, ...]  #: of each mesh in the manifest
-    split: str  #: that all of them belong to
+    Parameters
+    ----------
+    points : list of ndarray of shape (n, 3), float16
+        Of each mesh.
+    faces : list of ndarray of shape (f, 3), uint16
+        Of each mesh.
+    names : tuple of str
+        Of each mesh in the manifest.
+    split : str
+        The split that all of them belong to.
+    """
+
+    points: list[NDArray[np.float16]]
+    faces: list[NDArray[np.uint16]]
+    names: tuple[str, ...]
+    split: str
 
     def __len__(self) -> int:
         return len(self.names)

@@ -59,6 +59,25 @@ class Samples:
     kept by their entries above the diagonal: L is symmetric, and its rows sum to zero. They may be
     left out, all four arrays together.
 
+    Parameters
+    ----------
+    points : ndarray of shape (s, n, 3), float32
+        Coordinates, in any unit of length.
+    mass : ndarray of shape (s, n), float32
+        Weights that sum to one; zero for padding.
+    eigenvectors : ndarray of shape (s, n, k), float16
+        Exact modes, M-orthonormal for `mass`.
+    labels : dict of str to ndarray of shape (s,), int64
+        What each sample is; see `make_sample`.
+    eigenvalues : ndarray of shape (s, k), float32, optional
+        Of ``L U = M U diag(eigenvalues)``.
+    starts : ndarray of shape (s, n + 1), int32, optional
+        Where the entries of each row of each sample begin, and where those of the last row end.
+    columns : ndarray of shape (e,), int32, optional
+        Of all entries, within their sample.
+    entries : ndarray of shape (e,), float32, optional
+        Of all samples, one after the other.
+
     Examples
     --------
     >>> import numpy as np
@@ -69,14 +88,14 @@ class Samples:
     (array([4]), False)
     """
 
-    points: NDArray[np.floating]  #: (s, n, 3), in any unit of length
-    mass: NDArray[np.floating]  #: (s, n), sums to one; zero for padding
-    eigenvectors: NDArray[np.floating]  #: (s, n, k), exact and M-orthonormal
-    labels: dict[str, NDArray[np.int64]] = field(default_factory=dict)  #: see `make_sample`
-    eigenvalues: NDArray[np.floating] | None = None  #: (s, k), of ``L U = M U diag(eigenvalues)``
-    starts: NDArray[np.int32] | None = None  #: (s, n + 1), where the entries of each row begin
-    columns: NDArray[np.int32] | None = None  #: (e,), of all entries, within their sample
-    entries: NDArray[np.floating] | None = None  #: (e,), of one sample after the other
+    points: NDArray[np.floating]
+    mass: NDArray[np.floating]
+    eigenvectors: NDArray[np.floating]
+    labels: dict[str, NDArray[np.int64]] = field(default_factory=dict)
+    eigenvalues: NDArray[np.floating] | None = None
+    starts: NDArray[np.int32] | None = None
+    columns: NDArray[np.int32] | None = None
+    entries: NDArray[np.floating] | None = None
 
     def __post_init__(self) -> None:
         for name, array in self.arrays().items():

@@ -54,11 +54,21 @@ class TrainState:
 
 @dataclass(frozen=True, eq=False)
 class TrainResult:
-    """A trained network and how it came about."""
+    """A trained network and how it came about.
 
-    network: NeoNetwork  #: in evaluation mode; weights are averages where the configuration says so
-    record: dict[str, Any]  #: JSON: configuration, steps, samples, minutes, validation curve
-    finished: bool  #: not where the run was stopped before its schedule ended; resuming goes on
+    Parameters
+    ----------
+    network : NeoNetwork
+        In evaluation mode; its weights are averages where the configuration asks for them.
+    record : dict
+        Plain JSON values: configuration, steps, samples, minutes, validation curve.
+    finished : bool
+        False where the run was stopped before its schedule ended; the checkpoint continues it.
+    """
+
+    network: NeoNetwork
+    record: dict[str, Any]
+    finished: bool
 
 
 def train(
