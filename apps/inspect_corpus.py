@@ -9,7 +9,7 @@ import json
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,6 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import TriangleMesh
 from spectra_kit.neo.train.corpus import (
     Corpus,
-    CorpusReport,
     claim,
     count,
     open_shards,
@@ -64,7 +63,7 @@ def _inspect(options: Namespace) -> None:
     cells = labels_of(corpus, some)
     draw_sheet(options.sheet, [sample_mesh(config, cell) for cell in cells], cells)
     found = survey(corpus, config, order[: options.surveyed])
-    options.sheet.with_suffix(".json").write_text(json.dumps(found.as_json(), indent=1) + "\n")
+    options.sheet.with_suffix(".json").write_text(json.dumps(found, indent=1) + "\n")
     print(table(found))
 
 
@@ -120,61 +119,27 @@ def topology(mesh: TriangleMesh) -> Topology:
     return Topology(parts, closed, bool((faces_of_edge == 1).any()), genus)
 
 
-@dataclass(frozen=True, eq=False)
-class Survey:
-    """Statistics of a corpus.
+def survey(corpus: Corpus, config: CorpusConfig, places: Sequence[int]) -> dict[str, Any]:
+    """Count all labels of a corpus, and measure surfaces and spectra of the samples at `places`.
 
-    Parameters
-    ----------
-    counts : CorpusReport
-        Of all samples.
-    nonuniform, meshes : float
-        Fractions of all samples whose points crowd, and that are the vertices of a mesh.
-    topologies : tuple of Topology
-        Of the surfaces of some samples.
-    eigenvalues : ndarray of shape (s, k)
-        Of the same samples, times their area, so without unit.
+    A tenth of a second each. Eigenvalues are those times the area, so without unit.
     """
-
-    counts: CorpusReport
-    nonuniform: float
-    meshes: float
-    topologies: tuple[Topology, ...]
-    eigenvalues: NDArray[np.float64]
-
-    def as_json(self) -> dict[str, Any]:
-        """Return everything that can be told in numbers, fractions of the surveyed samples."""
-        genus = [t.genus for t in self.topologies if t.genus is not None]
-        weyl = self.eigenvalues[:, 1:] / (4 * np.pi * np.arange(1, self.eigenvalues.shape[1]))
-        return {
-            "samples": self.counts.samples,
-            "families": self.counts.families,
-            "rejected": self.counts.rejected,
-            "nonuniform": self.nonuniform,
-            "meshes": self.meshes,
-            "surveyed": len(self.topologies),
-            "closed": float(np.mean([t.closed for t in self.topologies])),
-            "boundary": float(np.mean([t.boundary for t in self.topologies])),
-            "several_parts": float(np.mean([t.parts > 1 for t in self.topologies])),
-            "genus": {str(g): genus.count(g) for g in sorted(set(genus))},
-            "lambda_1_area": _spread(self.eigenvalues[:, 1]),
-            "weyl_ratio": {f"mode {i + 1}": _spread(weyl[:, i]) for i in _some(weyl.shape[1])},
-        }
-
-
-def survey(corpus: Corpus, config: CorpusConfig, places: Sequence[int]) -> Survey:
-    """Look at all labels of a corpus, and at surfaces and spectra of the samples at `places`.
-
-    A tenth of a second each.
-    """
-    batch = corpus.batch(places)
-    return Survey(
-        counts=count(corpus.labels),
-        nonuniform=float(corpus.labels["nonuniform"].mean()),
-        meshes=float(corpus.labels["mesh"].mean()),
-        topologies=tuple(topology(sample_mesh(config, one)) for one in labels_of(corpus, places)),
-        eigenvalues=batch.arrays()["eigenvalues"].astype(np.float64),
-    )
+    found = [topology(sample_mesh(config, one)) for one in labels_of(corpus, places)]
+    values = corpus.batch(places).arrays()["eigenvalues"].astype(np.float64)
+    genus = [t.genus for t in found if t.genus is not None]
+    weyl = values[:, 1:] / (4 * np.pi * np.arange(1, values.shape[1]))
+    return {
+        **asdict(count(corpus.labels)),
+        "nonuniform": float(corpus.labels["nonuniform"].mean()),
+        "meshes": float(corpus.labels["mesh"].mean()),
+        "surveyed": len(found),
+        "closed": float(np.mean([t.closed for t in found])),
+        "boundary": float(np.mean([t.boundary for t in found])),
+        "several_parts": float(np.mean([t.parts > 1 for t in found])),
+        "genus": {str(g): genus.count(g) for g in sorted(set(genus))},
+        "lambda_1_area": _spread(values[:, 1]),
+        "weyl_ratio": {f"mode {i + 1}": _spread(weyl[:, i]) for i in _some(weyl.shape[1])},
+    }
 
 
 def _spread(values: NDArray[np.float64]) -> dict[str, float]:
@@ -251,21 +216,19 @@ def _label(
     plt.close(figure)
 
 
-def table(found: Survey) -> str:
+def table(facts: dict[str, Any]) -> str:
     """Return the statistics as lines of text."""
-    facts = found.as_json()
     lines = [
         f"{facts['samples']} samples, {facts['meshes']:.1%} of them meshes,"
         f" {facts['nonuniform']:.1%} not uniform",
         "",
     ]
-    lines += [f"{name:12s} {n:6d}" for name, n in found.counts.families.items()]
+    lines += [f"{name:12s} {n:6d}" for name, n in facts["families"].items()]
     lines += ["", "drawn again because of"]
-    lines += [f"{name:12s} {n:6d}" for name, n in found.counts.rejected.items()]
+    lines += [f"{name:12s} {n:6d}" for name, n in facts["rejected"].items()]
     lines += ["", f"surfaces of {facts['surveyed']} random samples"]
     lines += [f"{name:14s} {facts[name]:6.1%}" for name in ("closed", "boundary", "several_parts")]
-    genus = [t.genus for t in found.topologies if t.genus is not None]
-    lines += [f"genus {g:<8d} {genus.count(g):6d}" for g in sorted(set(genus))]
+    lines += [f"genus {g:8s} {n:6d}" for g, n in facts["genus"].items()]
     spreads = {"lambda_1 area": facts["lambda_1_area"]}
     spreads |= {f"{name} / Weyl": spread for name, spread in facts["weyl_ratio"].items()}
     head = next(iter(spreads.values()))

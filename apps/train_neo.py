@@ -138,7 +138,6 @@ def _run(args: argparse.Namespace, device: str) -> TrainResult:
             device=device,
             pause_after=None if args.pause is None else 60 * args.pause,
             last=args.last,
-            wait=lambda: _wait(corpus, config),
             tensorboard=args.tensorboard,
             report=_shown(bar),
             hourly=None if args.hourly is None else _hourly(args.out, open_shards(args.hourly)),
@@ -173,17 +172,8 @@ def _corpus(
         capacity=args.capacity,
         start=first // made_of.shard_size * made_of.shard_size,
         folder=args.stream,
-        bounded=True,
         ahead=made_of.shard_size if config.shown else None,
     )
-
-
-def _wait(corpus: Source, config: TrainConfig) -> None:
-    """Let a stream that shows what is there have more to show than the same few samples."""
-    if isinstance(corpus, SampleStream) and not config.shown:
-        corpus.ready(min(corpus.capacity, 4 * config.batch), timeout=60)
-        while not corpus.ready(1, timeout=60):
-            print("waiting for the first sample", flush=True)
 
 
 def _seed(folder: Path) -> int | None:

@@ -7,7 +7,6 @@ import os
 import signal
 from collections import Counter
 from collections.abc import Callable
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -234,12 +233,23 @@ def ellipsoids(n, seed):
     return points, mass, np.linalg.qr(root * modes)[0] / root
 
 
-@contextmanager
-def produced_here(config, indices, workers):
-    """Make the samples of a stream in this process, in place of `neo.train.corpus.produced`."""
+_samples: dict[tuple[str, int], object] = {}
+
+
+def made_once(config, index):
+    """Make a sample as `neo.train.samples.make_sample` does, but none twice: it takes a while."""
     from spectra_kit.neo.train.samples import make_sample
 
-    yield (make_sample(config, index) for index in indices)
+    asked = repr(config), index
+    if asked not in _samples:
+        _samples[asked] = make_sample(config, index)
+    return _samples[asked]
+
+
+def produced_here(config, indices, workers):
+    """Make the samples of a stream in this process, in place of `neo.train.corpus.produced`."""
+    for index in indices:
+        yield made_once(config, index)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

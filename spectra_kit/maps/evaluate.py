@@ -190,7 +190,7 @@ def map_errors(
     at = check_indices("truth.target", truth.target, len(p))
     goals = [truth.source] if truth.symmetric is None else [truth.source, truth.symmetric]
     ends = check_indices("truth", np.concatenate(goals), mesh.n)
-    found = pair_distances(mesh, np.tile(p[at], len(goals)), ends, method)
+    found = pair_distances(mesh, np.tile(p[at], len(goals)), ends, method=method)
     direct, *symmetric = 100 * found.reshape(len(goals), -1) / np.sqrt(mesh.area)
     return MapErrors(direct, at, *symmetric)
 

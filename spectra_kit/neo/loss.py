@@ -25,29 +25,29 @@ from spectra_kit.eigen.multigrid.smoothing import (
     preconditioner,
 )
 
+# Added to the diagonal of a Gram matrix of functions of norm one: directions that they hold with
+# less than a thousandth of their norm hardly count, and a rank-deficient F has a loss and a
+# gradient too.
+_RIDGE = 1e-6
 _MOST = 0.9  # of the highest eigenvalue: from there on columns fill the space of the points
 
 
-def mode_residuals(F: Tensor, mass: Tensor, U: Tensor, *, ridge: float = 1e-6) -> Tensor:
+def mode_residuals(F: Tensor, mass: Tensor, U: Tensor) -> Tensor:
     """Return the energy share of each mode outside the span of `F`.
 
     With G = F^T M F = L_c L_c^T this is r_j = 1 - |L_c^-1 F^T M u_j|^2 / |u_j|_M^2: the value and
     the gradient of an M-weighted QR of F, from two matrix products and an m x m Cholesky. As each
     mode is divided by its own norm, `U` need not be M-orthonormal (say, after subsampling). Shape
     (B, k), each in [0, 1] up to rounding, float32; NaN for a cloud whose functions are not finite.
-
-    `ridge` is added to the diagonal of G after its columns are normalised: directions that the
-    functions hold with less than a thousandth of their norm hardly count, and a rank-deficient F
-    has a loss and a gradient too.
     """
     root = mass.float().sqrt().unsqueeze(-1)
-    _, half = _inside(_unit(F, root), _unit(U, root), root, ridge)
+    _, half = _inside(_unit(F, root), _unit(U, root), root)
     residuals: Tensor = (1 - half.square().sum(-2)).float()
     return residuals
 
 
 def smoothed_residuals(
-    F: Tensor, mass: Tensor, U: Tensor, smoother: Smoother, *, ridge: float = 1e-6
+    F: Tensor, mass: Tensor, U: Tensor, smoother: Smoother
 ) -> tuple[Tensor, Tensor]:
     """Return the energy shares of `mode_residuals`, and those that smoothing leaves of them.
 
@@ -57,10 +57,10 @@ def smoothed_residuals(
     """
     root = mass.float().sqrt().unsqueeze(-1)
     functions, modes = _unit(F, root), _unit(U, root)
-    factor, half = _inside(functions, modes, root, ridge)
+    factor, half = _inside(functions, modes, root)
     nearest = functions.double() @ torch.linalg.solve_triangular(factor.mT, half, upper=True)
     errors = smoother((nearest - modes).to(smoother.mass.dtype))
-    left = mode_residuals(modes + errors, mass, modes, ridge=ridge)
+    left = mode_residuals(modes + errors, mass, modes)
     return (1 - half.square().sum(-2)).float(), left
 
 
@@ -71,24 +71,19 @@ def _unit(F: Tensor, root: Tensor) -> Tensor:
     return unit
 
 
-def _inside(F: Tensor, U: Tensor, root: Tensor, ridge: float) -> tuple[Tensor, Tensor]:
+def _inside(F: Tensor, U: Tensor, root: Tensor) -> tuple[Tensor, Tensor]:
     """Return L_c, and L_c^-1 F^T M U for functions of M-norm one."""
     # Unit columns make the Cholesky factor see directions, not magnitudes.
     # Double precision from here on: trained functions share large parts, and the rounding of a
     # float32 product can then exceed the ridge. On a CPU it adds some 5 % to a whole step.
     Z, V = (root * F).double(), (root * U).double()
     G = Z.mT @ Z
-    G = G + ridge * torch.eye(G.shape[-1], dtype=G.dtype, device=G.device)
+    G = G + _RIDGE * torch.eye(G.shape[-1], dtype=G.dtype, device=G.device)
     # Without a look at `info`, for which a device would be waited for: functions that are not
     # finite, as an overflow in float16 leaves them, give residuals that are not finite either.
     factor, info = torch.linalg.cholesky_ex(G)
     factor = torch.where((info == 0)[..., None, None], factor, torch.nan)
     return factor, torch.linalg.solve_triangular(factor, Z.mT @ V, upper=False)
-
-
-def span_loss(F: Tensor, mass: Tensor, U: Tensor, *, ridge: float = 1e-6) -> Tensor:
-    """Return the mean of `mode_residuals` over modes and clouds (paper, Eq. "span_loss")."""
-    return mode_residuals(F, mass, U, ridge=ridge).mean()
 
 
 def ortho_loss(F: Tensor, mass: Tensor) -> Tensor:

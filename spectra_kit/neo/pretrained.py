@@ -125,7 +125,7 @@ def load_pretrained(name_or_path: str | os.PathLike[str], device: str = "cpu") -
             advice="reinstall spectra_kit",
         )
     config, record, tensors = _unpacked(path, data)
-    _check_tensors(path, _announced(path, config, tensors), tensors)
+    _check_tensors(path, config, tensors)
     network = build_network(config)
     network.load_state_dict(tensors)  # into float32, whatever the precision on disk
     network.requires_grad_(False).eval().to(place)
@@ -197,15 +197,11 @@ def save_weights(
     return hashlib.sha256(data).hexdigest()
 
 
-class WeightsFile(NamedTuple):
-    """Where weights lie, and the sha256 they must have (for a shipped file) or do have."""
+def find_weights(name_or_path: str | os.PathLike[str]) -> tuple[Path, str]:
+    """Return where weights lie, without reading them, and their sha256.
 
-    path: Path
-    sha256: str
-
-
-def find_weights(name_or_path: str | os.PathLike[str]) -> WeightsFile:
-    """Return the file of a shipped name or of a path, without reading the weights."""
+    That is the one they must have, of a shipped name, or do have, of a path.
+    """
     if isinstance(name_or_path, str) and name_or_path in WEIGHTS:
         shipped = WEIGHTS[name_or_path]
         path = _FOLDER / shipped.file
@@ -213,7 +209,7 @@ def find_weights(name_or_path: str | os.PathLike[str]) -> WeightsFile:
             raise WeightsError(
                 f"the shipped file {path} is missing", advice="reinstall spectra_kit"
             )
-        return WeightsFile(path, shipped.sha256)
+        return path, shipped.sha256
     path = Path(name_or_path)
     if path.suffix != ".safetensors":
         raise WeightsError(
@@ -222,23 +218,19 @@ def find_weights(name_or_path: str | os.PathLike[str]) -> WeightsFile:
         )
     if not path.is_file():
         raise WeightsError(f"the weights file {path} does not exist", advice="check the path")
-    return WeightsFile(path, _sha256(path))
+    state = path.stat()
+    return path, _sha256_of(path.absolute(), state.st_mtime_ns, state.st_size)
 
 
 def weights_digest(network: str | os.PathLike[str] | NeoNetwork) -> str:
     """Return a hash of the weights, by which results of different ones can be told apart."""
     if not isinstance(network, NeoNetwork):
-        return find_weights(network).sha256[:12]
+        return find_weights(network)[1][:12]
     content = hashlib.sha256()
     for name, tensor in network.state_dict().items():
         content.update(f"{name} {tuple(tensor.shape)}".encode())
         content.update(tensor.detach().double().cpu().numpy().tobytes())
     return content.hexdigest()[:12]
-
-
-def _sha256(path: Path) -> str:
-    state = path.stat()
-    return _sha256_of(path.absolute(), state.st_mtime_ns, state.st_size)
 
 
 @lru_cache(maxsize=16)
@@ -247,10 +239,8 @@ def _sha256_of(path: Path, _changed: int, _size: int) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _announced(
-    path: Path, config: NeoConfig, tensors: dict[str, torch.Tensor]
-) -> dict[str, torch.Tensor]:
-    """Return sizes of the tensors of a configuration, before anything as large is built.
+def _check_tensors(path: Path, config: NeoConfig, tensors: dict[str, torch.Tensor]) -> None:
+    """Refuse tensors that are not those of a configuration, before anything as large is built.
 
     Each block has a tensor, or more, and each wave a row of one. On the device ``meta`` tensors are
     sizes alone.
@@ -260,16 +250,11 @@ def _announced(
         if config.depth > len(tensors) or config.waves > longest:
             raise RuntimeError("more blocks or waves than there are tensors, or rows of them")  # noqa: TRY301
         with torch.device("meta"):
-            return build_network(config).state_dict()
+            announced = build_network(config).state_dict()
     except RuntimeError as error:
         raise WeightsError(
             f"{path} must hold the tensors of its configuration {config} ({error})"
         ) from error
-
-
-def _check_tensors(
-    path: Path, announced: dict[str, torch.Tensor], tensors: dict[str, torch.Tensor]
-) -> None:
     ours = {name: tuple(tensor.shape) for name, tensor in announced.items()}
     theirs = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
     if wrong := sorted(

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
+from torch.nn.utils.rnn import pad_sequence
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt
@@ -127,18 +128,10 @@ class NeoSubspace(Rebuilt):
     @torch.no_grad()
     def predict(self, points: ArrayLike, mass: ArrayLike, frame: Frame) -> torch.Tensor:
         """Return the basis as a float32 tensor of shape (n, 1 + poses * m) on `device`."""
-        points = check_points("points", points)
-        mass = check_mass("mass", mass, len(points))
         posed, weights = _posed(points, mass, frame)
-        if len(points) <= self.chunk:
+        if len(posed) <= self.chunk:
             return self._forward(posed.unsqueeze(0), weights.unsqueeze(0))[0]
-        posed, weights, model = posed.to(self.device), weights.to(self.device), self._model
-        basis = torch.ones(len(points), self.n_functions, device=self.device)
-        with torch_threads():
-            for columns, flip in self._flips():
-                x, out = posed * flip, basis[:, columns]
-                model.evaluate_chunked(x, weights, chunk=self.chunk, out=out)
-        return basis
+        return self._forward(posed, weights, chunk=self.chunk)
 
     @torch.no_grad()
     def predict_many(
@@ -151,42 +144,35 @@ class NeoSubspace(Rebuilt):
         """
         if len(points) != len(mass):
             raise InvalidInputError("points", f"be as many as `mass`, {len(mass)}", len(points))
+        if not len(points):
+            return []
         config = self._model.config
-        largest = max(map(len, points), default=0)  # type: ignore[arg-type]
+        largest = max(map(len, points))  # type: ignore[arg-type]
         if largest > self.chunk or config.backbone != "neo" or not config.mass_aware:
             return [self.tensor(*cloud) for cloud in zip(points, mass, strict=True)]
-        padded = torch.zeros(len(points), largest, 3)
-        weights = torch.zeros(len(points), largest)
-        sizes = []
-        for i, (x, w) in enumerate(zip(points, mass, strict=True)):
-            x = check_points("points", x)
-            w = check_mass("mass", w, len(x))
-            padded[i, : len(x)], weights[i, : len(x)] = _posed(x, w, self.frame(x, w))
-            sizes.append(len(x))
-        if not sizes:
-            return []
-        bases = self._forward(padded, weights)
-        return [basis[:n] for basis, n in zip(bases, sizes, strict=True)]
+        clouds = zip(points, mass, strict=True)
+        seen = [_posed(x, w, self.frame(x, w)) for x, w in clouds]
+        padded = (pad_sequence(list(part), batch_first=True) for part in zip(*seen, strict=True))
+        bases = self._forward(*padded)
+        return [basis[: len(x)] for basis, (x, _) in zip(bases, seen, strict=True)]
 
-    def _forward(self, posed: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-        """Return the bases (B, N, 1 + poses * m) of posed clouds (B, N, 3), masses (B, N)."""
-        posed, weights = posed.to(self.device), weights.to(self.device)
+    def _forward(self, posed: torch.Tensor, weights: torch.Tensor, **chunked: int) -> torch.Tensor:
+        """Return the bases (..., N, 1 + poses * m) of posed clouds (..., N, 3), masses (..., N)."""
+        posed, weights, model = posed.to(self.device), weights.to(self.device), self._model
         basis = torch.ones(*weights.shape, self.n_functions, device=self.device)
-        with torch_threads():
-            for columns, flip in self._flips():
-                basis[..., columns] = self._model(posed * flip, weights)
-        return basis
-
-    def _flips(self) -> list[tuple[slice, torch.Tensor]]:
-        """Return the columns of each pose, and the signs that make it."""
-        m = self._model.config.m
         flips = torch.tensor(POSES[: self.poses], dtype=torch.float32, device=self.device)
-        return [(slice(1 + i * m, 1 + (i + 1) * m), flip) for i, flip in enumerate(flips)]
+        with torch_threads():
+            for part, flip in zip(basis[..., 1:].chunk(self.poses, -1), flips, strict=True):
+                if chunked:
+                    model.evaluate_chunked(posed * flip, weights, **chunked, out=part)
+                else:
+                    part.copy_(model(posed * flip, weights))
+        return basis
 
     @cached_property
     def _model(self) -> NeoNetwork:
         if not isinstance(self.network, NeoNetwork):
-            digest = find_weights(self.network).sha256
+            _, digest = find_weights(self.network)
             return _loaded(os.fspath(self.network), digest, self.device, self.dtype)
         return copy.deepcopy(self.network).eval().to(self.device, _DTYPES[self.dtype])
 
@@ -200,10 +186,10 @@ def _loaded(name_or_path: str, sha256: str, device: str, dtype: str) -> NeoNetwo
     return load_pretrained(name_or_path).network.to(device, _DTYPES[dtype])
 
 
-def _posed(
-    points: NDArray[np.float64], mass: NDArray[np.float64], frame: Frame
-) -> tuple[torch.Tensor, torch.Tensor]:
+def _posed(points: ArrayLike, mass: ArrayLike, frame: Frame) -> tuple[torch.Tensor, torch.Tensor]:
     """Return a cloud as the network sees it."""
+    points = check_points("points", points)
+    mass = check_mass("mass", mass, len(points))
     return torch.from_numpy(frame.pose(points)).float(), torch.from_numpy(
         mass / mass.mean()
     ).float()

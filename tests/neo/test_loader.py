@@ -35,7 +35,7 @@ def samples(n=24, seed=0):
 
 
 WHOLE = samples()
-CORPUS = Corpus((WHOLE[:12], WHOLE[12:]))
+CORPUS = Corpus([WHOLE[:12], WHOLE[12:]])
 
 
 def config(frame="principal", **options):

@@ -2,7 +2,6 @@
 
 import csv
 import os
-import random
 import re
 import shutil
 import signal
@@ -21,16 +20,17 @@ import numpy as np
 import pytest
 import torch
 import train_neo
-from conftest import ellipsoids, produced_here, refused
+from conftest import ellipsoids, made_once, produced_here, refused
 
 from spectra_kit.errors import ConvergenceError, InvalidInputError, MissingDependencyError
 from spectra_kit.neo.model import NeoConfig, NeoNetwork
 from spectra_kit.neo.pretrained import load_pretrained
 from spectra_kit.neo.train import checkpoint
+from spectra_kit.neo.train import corpus as corpus_module
 from spectra_kit.neo.train import stream as streaming
 from spectra_kit.neo.train.checkpoint import Log
 from spectra_kit.neo.train.config import TrainConfig
-from spectra_kit.neo.train.corpus import generate, open_shards, write_shard
+from spectra_kit.neo.train.corpus import Corpus, generate, open_shards, write_shard
 from spectra_kit.neo.train.evaluation import validate
 from spectra_kit.neo.train.loader import posed, vary
 from spectra_kit.neo.train.optim import (
@@ -68,14 +68,30 @@ def whole(corpora):
     return train(*corpora, CONFIG)
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def made_here(monkeypatch):
-    """Make the samples of streams in this process, which starts nothing."""
+    """Make the samples of corpora once, and those of streams in this process."""
+    monkeypatch.setattr(corpus_module, "make_sample", made_once)
     monkeypatch.setattr(streaming, "produced", produced_here)
 
 
 def same(one, other):
     return all(torch.equal(tensor, other[name]) for name, tensor in one.items())
+
+
+def stopped(step, *given, **options):
+    """Train until Ctrl-C comes within a step: after so many in all."""
+    made = _Run.step
+
+    def interrupted(run, *batch):
+        loss = made(run, *batch)
+        if run.state.step + 1 == step:
+            signal.raise_signal(signal.SIGINT)
+        return loss
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_Run, "step", interrupted)
+        return train(*given, **options)
 
 
 def rows_of(out):
@@ -182,12 +198,11 @@ def test_half_precision_follows_float32_and_shares_change_no_gradient(corpora, w
     expected = whole.record["span_error"]
     rounded = train(*corpora, replace(CONFIG, precision="bfloat16"))
     assert rounded.record["span_error"] == pytest.approx(expected, rel=0.1)
-    config, losses = replace(CONFIG, log=1, ema=0.0), {1: [], 3: []}
+    config, losses = replace(CONFIG, steps=3, log=1, ema=0.0), {1: [], 3: []}
 
     def run(workers):
         told = lambda row: losses[workers].append(row["loss"])  # noqa: E731
-        options = {"stop_after": 3, "report": told}
-        return train(*corpora, replace(config, workers=workers), **options).network.state_dict()
+        return train(*corpora, replace(config, workers=workers), report=told).network.state_dict()
 
     with ThreadPoolExecutor(1) as thread:  # where no signal can be waited for
         shared = thread.submit(run, 3).result()
@@ -216,13 +231,13 @@ def test_training_for_what_smoothing_leaves_learns_and_shares_change_nothing(of_
     assert after["smoothed"] < 0.5 * before["smoothed"]
     losses = []
     for workers in (1, 3):
-        first = replace(config, workers=workers, log=1, precision="float32")
-        train(corpus, corpus, first, stop_after=2, report=lambda row: losses.append(row["loss"]))
+        first = replace(config, workers=workers, steps=2, log=1)
+        train(corpus, corpus, first, report=lambda row: losses.append(row["loss"]))
     np.testing.assert_allclose(losses[:2], losses[2:], rtol=1e-4)
     # The loss is the two span errors, weighed as asked for.
     for beta in (0.0, 1.0):
-        only = replace(config, beta=beta, log=1, alpha=0.0)
-        train(corpus, corpus, only, stop_after=1, report=lambda row: losses.append(row["loss"]))
+        only = replace(config, beta=beta, steps=1, log=1, alpha=0.0)
+        train(corpus, corpus, only, report=lambda row: losses.append(row["loss"]))
     assert losses[-1] < 0.8 * losses[-2]
     assert losses[0] == pytest.approx(0.1 * losses[-2] + 0.9 * losses[-1], rel=1e-4)
 
@@ -281,14 +296,6 @@ def test_what_is_trained_for_is_what_is_told(of_both_kinds):
     assert rows[0]["validation"] == pytest.approx(told["validation"], rel=1e-3)
 
 
-def test_networks_that_take_padding_for_points_get_none(corpora):
-    corpus, validation = corpora
-    short = {"n": np.full(len(corpus), corpus.n_points - 1)}
-    padded = replace(corpus, shards=(replace(corpus.shards[0], labels=short),))
-    other = replace(CONFIG, network=replace(TINY, backbone="pointnet++"))
-    refused("corpus", "have as many points in each sample", train, padded, validation, other)
-
-
 def test_the_result_is_the_average_and_the_checkpoint_holds_both(corpora, tmp_path, whole):
     result = train(*corpora, CONFIG, out=tmp_path)
     content = checkpoint.read(tmp_path)
@@ -301,22 +308,10 @@ def test_the_result_is_the_average_and_the_checkpoint_holds_both(corpora, tmp_pa
     assert still.record["span_error"] == pytest.approx(result.record["span_error"], rel=1e-4)
 
 
-def test_every_hour_is_shown_the_average(corpora, monkeypatch):
-    monkeypatch.setattr("spectra_kit.neo.train.train._HOUR", 1e-6)
-    shown = []
-
-    def noted(network, row):
-        shown.append((row["step"], {k: v.clone() for k, v in network.state_dict().items()}))
-
-    result = train(*corpora, replace(CONFIG, every=10**6), hourly=noted)
-    assert [step for step, _ in shown] == list(range(1, CONFIG.steps + 1))
-    assert same(shown[-1][1], result.network.state_dict())
-
-
 def test_a_stopped_run_resumes_bit_by_bit(corpora, tmp_path):
     config, rows = replace(CONFIG, workers=2, precision="float16", log=3), []
     result = train(*corpora, config, report=rows.append)
-    assert not train(*corpora, config, out=tmp_path, stop_after=4).finished
+    assert not stopped(4, *corpora, config, out=tmp_path).finished
     resumed = train(*corpora, config, out=tmp_path, resume=True)
     assert resumed.finished
     assert same(result.network.state_dict(), resumed.network.state_dict())
@@ -331,10 +326,10 @@ def test_each_validation_is_saved_and_no_step_waits_for_the_disk(corpora, tmp_pa
     monkeypatch.setattr(
         checkpoint.Writer, "write", lambda self, content: saved.append(content["state"]["step"])
     )
-    train(*corpora, replace(CONFIG, save=1e9), out=tmp_path, stop_after=7)
+    stopped(7, *corpora, replace(CONFIG, save=1e9), out=tmp_path)
     assert saved == [5, 7]  # the last as it stops
     monkeypatch.setattr(checkpoint.Writer, "busy", True)
-    train(*corpora, replace(CONFIG, save=1e-9), out=tmp_path, stop_after=7)
+    stopped(7, *corpora, replace(CONFIG, save=1e-9), out=tmp_path)
     assert saved == [5, 7, 7]
 
 
@@ -353,7 +348,7 @@ def test_ctrl_c_saves_and_ends(corpora, tmp_path):
     steps = result.record["steps"]
     assert not result.finished
     assert 0 < steps < 100_000
-    again = train(*corpora, config, out=tmp_path, resume=True, stop_after=steps + 1)
+    again = stopped(steps + 1, *corpora, config, out=tmp_path, resume=True)
     assert again.record["steps"] == steps + 1
     assert signal.getsignal(signal.SIGINT) is before
 
@@ -363,10 +358,7 @@ def test_a_pause_keeps_the_schedule_and_a_last_phase_ends_it(corpora, tmp_path):
     part = train(*corpora, config, out=tmp_path, pause_after=0.4)
     assert not part.finished
     assert 0 < part.record["minutes"] < 0.2
-    called = []
-    options = {"out": tmp_path, "pause_after": 1.5, "resume": True}
-    result = train(*corpora, config, last=True, wait=lambda: called.append(1), **options)
-    assert called == [1]
+    result = train(*corpora, config, out=tmp_path, pause_after=1.5, last=True, resume=True)
     assert result.finished
     assert result.record["steps"] > part.record["steps"]
     assert result.record["minutes"] < 0.4
@@ -377,7 +369,8 @@ def test_a_pause_keeps_the_schedule_and_a_last_phase_ends_it(corpora, tmp_path):
 
 
 def test_minutes_end_a_run_with_the_whole_schedule(corpora):
-    result = train(*corpora, replace(CONFIG, steps=100_000, minutes=0.04, every=10))
+    # The rate falls for most of the time: on a busy machine the last steps are far apart.
+    result = train(*corpora, replace(CONFIG, steps=100_000, minutes=0.04, decay=0.9, every=10))
     assert result.finished
     assert 0.03 <= result.record["minutes"] < 0.5
     assert result.record["history"][-1]["lr"] < 0.5 * CONFIG.lr
@@ -397,10 +390,7 @@ def test_a_loss_that_is_not_finite_is_an_error(corpora, tmp_path):
 @pytest.mark.parametrize(
     ("change", "options", "told"),
     [
-        ({"steps": 0}, {}, "`steps` must "),
         ({"flips": 2}, {}, "`flips` must "),
-        ({"smoothing": 0}, {}, "`smoothing` must "),
-        ({"precision": "int8"}, {}, "`precision` must "),
         ({"lr": 0.0}, {}, "`lr` must "),
         ({"minutes": -1.0}, {}, "`minutes` must "),
         # As many functions as points, which span everything.
@@ -415,38 +405,33 @@ def test_what_does_not_fit_a_run_is_refused(corpora, tmp_path, change, options, 
         train(*corpora, replace(CONFIG, **change), out=tmp_path, **options)
 
 
-def test_a_run_resumes_under_the_same_configuration_alone(corpora, tmp_path):
-    train(*corpora, CONFIG, out=tmp_path, stop_after=1)
+def test_a_run_is_not_overwritten_and_resumes_under_the_same_configuration_alone(corpora, tmp_path):
+    stopped(1, *corpora, CONFIG, out=tmp_path)
+    log = (tmp_path / "log.csv").read_bytes()
+    with pytest.raises(InvalidInputError, match="`out` must hold no checkpoint of another run"):
+        train(*corpora, CONFIG, out=tmp_path)
+    assert checkpoint.read(tmp_path)["state"]["step"] == 1
+    assert (tmp_path / "log.csv").read_bytes() == log
     with pytest.raises(InvalidInputError, match=r"other values of \['lr'\]"):
         train(*corpora, replace(CONFIG, lr=1e-4), out=tmp_path, resume=True)
     free = replace(CONFIG, batch=2, workers=2)
-    assert train(*corpora, free, out=tmp_path, resume=True, stop_after=2).record["samples"] == 6
+    assert stopped(2, *corpora, free, out=tmp_path, resume=True).record["samples"] == 6
     # One of before a field came was written with its default.
     content = checkpoint.read(tmp_path)
     del content["config"]["relative"], content["source"]
     checkpoint.write(tmp_path, content)
     with pytest.raises(InvalidInputError, match=r"other values of \['relative'\]"):
         train(*corpora, replace(free, relative=True), out=tmp_path, resume=True)
-    assert train(*corpora, free, out=tmp_path, resume=True, stop_after=3).record["steps"] == 3
+    assert stopped(3, *corpora, free, out=tmp_path, resume=True).record["steps"] == 3
 
 
-def test_a_run_is_not_overwritten(corpora, tmp_path):
-    train(*corpora, CONFIG, out=tmp_path, stop_after=2)
-    before = (tmp_path / "log.csv").read_bytes()
-    with pytest.raises(InvalidInputError, match="`out` must hold no checkpoint of another run"):
-        train(*corpora, CONFIG, out=tmp_path, stop_after=1)
-    assert checkpoint.read(tmp_path)["state"]["step"] == 2
-    assert (tmp_path / "log.csv").read_bytes() == before
-
-
-@pytest.mark.usefixtures("made_here")
 def test_samples_on_which_functions_span_everything_are_refused(tmp_path):
     made_of = CorpusConfig(seed=1, n_points=128, k=4, shard_size=4, mesh_share=1.0)
     generate(tmp_path, 4, config=made_of)
     meshes = open_shards(tmp_path)
     fewest = meshes.labels["n"].min()
     assert made_of.fewest <= meshes.fewest == fewest < 64
-    plain = replace(meshes, shards=(replace(meshes.shards[0], labels={}),))
+    plain = Corpus([replace(meshes.shards[0], labels={})])
     assert plain.fewest == fewest  # counted, where no label tells
     wide = replace(CONFIG, network=replace(TINY, k=4, m=int(fewest)))
     told = f"`corpus` must have samples of at least {fewest + 1} points and 4 modes, got {fewest}"
@@ -454,32 +439,33 @@ def test_samples_on_which_functions_span_everything_are_refused(tmp_path):
         train(meshes, meshes, wide)
     fits = replace(wide, network=replace(TINY, k=4), steps=1)
     train(meshes, meshes, fits)
-    # Of a stream it follows from what its samples are made of.
+    other = replace(TINY, k=4, m=8, backbone="pointnet++")  # which takes padding for points
+    # Of a stream both follow from what its samples are made of.
     with SampleStream(made_of, workers=1, capacity=8) as stream:
-        assert stream.ready(1, timeout=60)
-        for network in (replace(wide.network, m=40), replace(TINY, k=4, backbone="pointnet++")):
-            with pytest.raises(InvalidInputError, match="`corpus` must have "):
-                train(stream, meshes, replace(wide, network=network))
+        for source in (meshes, stream):
+            told = "have as many points in each sample"
+            refused("corpus", told, train, source, meshes, replace(fits, network=other))
+        config = replace(wide, network=replace(wide.network, m=40))
+        refused("corpus", "have samples of at least 41 points", train, stream, meshes, config)
 
 
-@pytest.mark.usefixtures("made_here")
 def test_a_stream_is_resumed_as_it_was_or_not_at_all(tmp_path):
     made_of = CorpusConfig(seed=1, n_points=100, k=4, shard_size=4)
     generate(tmp_path / "validation", 4, config=replace(made_of, seed=2))
     validation = open_shards(tmp_path / "validation")
     config = replace(CONFIG, network=replace(TINY, k=4), batch=2, shown=2)
 
-    def run(config, made_of=made_of, capacity=12, **options):
+    def run(config, stop, made_of=made_of, capacity=12, **options):
         with SampleStream(made_of, workers=1, capacity=capacity, ahead=4) as stream:
-            return train(stream, validation, config, out=tmp_path / "run", **options)
+            return stopped(stop, stream, validation, config, out=tmp_path / "run", **options)
 
-    assert run(config, stop_after=2).record["corpus"]["samples"] >= 8  # of all so far
+    assert run(config, 2).record["corpus"]["samples"] >= 8  # of all so far
     for change in ({"capacity": 11}, {"made_of": replace(made_of, nonuniform=0.5)}):
         with pytest.raises(InvalidInputError, match=r"other values of \['stream'\]"):
-            run(config, resume=True, **change)
+            run(config, 3, resume=True, **change)
     with pytest.raises(InvalidInputError, match=r"other values of \['batch'\]"):
-        run(replace(config, batch=3), resume=True)
-    assert run(config, resume=True, stop_after=3).record["steps"] == 3
+        run(replace(config, batch=3), 3, resume=True)
+    assert run(config, 3, resume=True).record["steps"] == 3
 
 
 def test_an_hour_changes_neither_log_nor_checkpoint_and_its_errors_lose_nothing(
@@ -487,13 +473,19 @@ def test_an_hour_changes_neither_log_nor_checkpoint_and_its_errors_lose_nothing(
 ):
     config = replace(CONFIG, steps=6, log=3, every=6, save=1e9)
     train(*corpora, config, out=tmp_path / "without")
-    monkeypatch.setattr("spectra_kit.neo.train.train._HOUR", 1e-3)
-    hours = []
-    told = lambda _, row: hours.append(row)  # noqa: E731
-    train(*corpora, config, out=tmp_path / "with", hourly=told)
+    monkeypatch.setattr("spectra_kit.neo.train.train._HOUR", 1e-6)
+    hours, shown = [], []
+
+    def told(network, row):
+        hours.append(row)
+        shown.append({name: tensor.clone() for name, tensor in network.state_dict().items()})
+
+    result = train(*corpora, config, out=tmp_path / "with", hourly=told)
     assert curve(tmp_path / "with") == curve(tmp_path / "without")
     assert [row["step"] for row in hours] == [1, 2, 3, 4, 5, 6]
     assert all(row["validation"] > 0 for row in hours)
+    assert same(shown[-1], result.network.state_dict())  # the average
+    assert not same(shown[-2], shown[-1])
 
     def fails(network, row):
         raise OSError("the disk is full")
@@ -506,7 +498,7 @@ def test_an_hour_changes_neither_log_nor_checkpoint_and_its_errors_lose_nothing(
 # Processes that are killed, and several at once
 
 SCRIPT = """
-import sys, time, torch
+import sys, torch
 from spectra_kit.neo.model import NeoConfig
 from spectra_kit.neo.train.config import TrainConfig
 from spectra_kit.neo.train.ranks import process_group
@@ -515,27 +507,18 @@ from spectra_kit.neo.train.train import train
 
 torch.set_num_threads(1)
 network = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8)
-folder, out, steps, resume, pause = sys.argv[1:]
-config = TrainConfig(
-    network=network, steps=int(steps), batch=5, validation=4, every=15, log=1, save=0.1
-)
+folder, out = sys.argv[1:]
+config = TrainConfig(network=network, steps=6, batch=5, validation=4, log=1)
 corpus = open_shards(folder + "/train")
 with process_group("cpu") as device:
-    options = {"out": out, "resume": resume == "resume", "device": device}
-    train(corpus, corpus, config, report=lambda row: time.sleep(float(pause)), **options)
+    train(corpus, corpus, config, out=out, device=device)
 """
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 
 
-def command(folder, out, *, steps=24, resume=False, pause=0.0):
-    """Train for so many steps, with so many seconds between them."""
-    rest = [str(folder), str(out), str(steps), "resume" if resume else "begin", str(pause)]
-    return [sys.executable, "-c", SCRIPT, *rest]
-
-
 @pytest.fixture
 def run_here(monkeypatch):
-    """Return a function that runs SCRIPT with the arguments of `command`, in this process."""
+    """Return a function that runs SCRIPT as a call would, in this process."""
     threads = torch.get_num_threads()
 
     def run(call):
@@ -551,25 +534,6 @@ def curve(out):
         [row[k] for k in ("step", "samples", "lr", "loss", "validation", "smoothed")]
         for row in rows_of(out)
     ]
-
-
-@pytest.mark.slow
-def test_a_killed_run_resumes_to_the_same_loss_curve(folder, tmp_path, run_here):
-    whole, killed = tmp_path / "whole", tmp_path / "killed"
-    run_here(command(folder, whole))
-    # Paused, so that no machine is done before it is killed.
-    with subprocess.Popen(command(folder, killed, pause=0.05), env=ENVIRONMENT) as process:
-        while process.poll() is None and checkpoint.read(killed) is None:
-            time.sleep(0.05)
-        time.sleep(random.uniform(0, 0.3))
-        process.kill()
-    assert 0 < checkpoint.read(killed)["state"]["step"] < 24
-    run_here(command(folder, killed, resume=True))
-    assert curve(killed) == curve(whole)
-    one, other = checkpoint.read(killed), checkpoint.read(whole)
-    assert same(one["network"], other["network"])
-    assert same(one["average"], other["average"])
-    assert one["state"]["losses"] == other["state"]["losses"] == []
 
 
 STREAM = """
@@ -594,7 +558,6 @@ def states(group):
         with suppress(OSError):  # it has ended
             state, _, its, *_ = path.read_text().rpartition(")")[2].split()
             found += [state] * (int(its) == group)
-    assert len(found) > 1, found  # those that make samples, too
     return found
 
 
@@ -629,16 +592,20 @@ def test_a_killed_run_on_a_stream_ends_as_one_in_a_single_go(tmp_path, monkeypat
         nice = str(min(os.nice(0) + 5, 19))  # of these tests, and five more
         assert not autogroup.exists() or autogroup.read_text().split()[-1] == nice
         os.killpg(group, signal.SIGSTOP)
-        while sys.platform == "linux" and set(states(group)) - {"T", "Z"}:
+        assert len(states(group)) > 1  # those that make samples, too
+        while set(states(group)) - {"T", "Z"}:
             time.sleep(0.05)
         os.killpg(group, signal.SIGCONT)
         process.kill()
+    ends = time.monotonic() + 60
+    while set(states(group)) - {"Z"}:  # the others end with it
+        assert time.monotonic() < ends
+        time.sleep(0.05)
     assert 2 < checkpoint.read(tmp_path / "killed")["state"]["step"] < 16
     for folder in ("killed", "killed_samples"):
         shutil.copytree(tmp_path / folder, tmp_path / folder.replace("killed", "less"))
     for lost in sorted((tmp_path / "less_samples").glob("shard_*"))[:1]:  # samples, too
         shutil.rmtree(lost)
-    monkeypatch.setattr(streaming, "produced", produced_here)
     for name in ("whole", "killed", "less"):
         assert train_neo.main(arguments(name)) == 0
     whole = checkpoint.read(tmp_path / "whole")
@@ -654,14 +621,15 @@ def test_a_killed_run_on_a_stream_ends_as_one_in_a_single_go(tmp_path, monkeypat
 
 @pytest.mark.slow
 def test_two_processes_end_with_the_weights_of_one(folder, tmp_path, run_here, monkeypatch):
-    run_here(command(folder, tmp_path / "one", steps=6))
+    call = [sys.executable, "-c", SCRIPT, str(folder)]
+    run_here([*call, str(tmp_path / "one")])
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = str(server.getsockname()[1])
     # As torchrun tells them; this process is the first.
     told = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "WORLD_SIZE": "2", "RANK": "0"}
     for name, value in (told | {"TORCHELASTIC_RUN_ID": "test"}).items():
         monkeypatch.setenv(name, value)
-    call = command(folder, tmp_path / "two", steps=6)
+    call.append(str(tmp_path / "two"))
     with subprocess.Popen(call, env={**os.environ, "OMP_NUM_THREADS": "1", "RANK": "1"}) as other:
         run_here(call)
     assert other.returncode == 0
@@ -800,7 +768,7 @@ def test_command_line_end_to_end(tmp_path, capsys, monkeypatch):
 
 
 @pytest.fixture
-def streamed(tmp_path, monkeypatch, made_here):
+def streamed(tmp_path, monkeypatch):
     """Return a function that runs the app on a stream, of samples that are made in this process."""
     made_of = CorpusConfig(seed=7, n_points=128, k=4, shard_size=4)
     generate(tmp_path / "validation", 4, config=made_of)
@@ -869,26 +837,24 @@ def test_hours_of_the_run_are_told_by_what_users_get(tmp_path, monkeypatch):
     assert train_neo.main([*argv[1:], "--resume"]) == 2  # neither folders nor a stream
 
 
-@pytest.mark.parametrize(
-    ("options", "told"),
-    [
-        (["--mesh-share", "0.5", "--makers", "2"], "--makers, --mesh_share is for samples that"),
-        (["--weights", "small", "--config", "small"], "--weights come with their sizes"),
-        (["--stream", "S", "--shown", "-1"], "`--shown` must be at least 0, got -1"),
-        (["--stream", "S", "--seed", "4"], "samples to train and to validate on are the same"),
-        (["OTHER"], "samples to train and to validate on are the same: both of seed 4"),
-        (["TRAIN", "--hourly", "OLD"], "`--hourly` must have operators"),
-    ],
-)
-def test_options_of_the_app_that_do_not_fit_are_refused(tmp_path, capsys, options, told):
+def test_options_of_the_app_that_do_not_fit_are_refused(tmp_path, capsys):
     made_of = CorpusConfig(seed=4, n_points=128, k=4, shard_size=4)
     for name, seed in (("OTHER", 4), ("TRAIN", 1), ("OLD", 2)):
         generate(tmp_path / name, 4, config=replace(made_of, seed=seed))
     for file in ("eigenvalues", "starts", "columns", "entries"):
         (tmp_path / "OLD" / "shard_0000" / f"{file}.npy").unlink()
-    options = [str(tmp_path / word) if word.isupper() else word for word in options]
-    told_of = ["--validation", str(tmp_path / "OTHER"), "--out", str(tmp_path / "run")]
+    given = ["--validation", str(tmp_path / "OTHER"), "--out", str(tmp_path / "run")]
+    given += ["--steps", "1", "--batch", "2"]
     sizes = [f"--network={size}" for size in ("m=16", "waves=0", "width=36", "depth=1")]
-    sizes = [] if "--weights" in options else sizes
-    assert train_neo.main([*options, *told_of, *sizes, "--steps", "1", "--batch", "2"]) == 2
-    assert told in capsys.readouterr().err
+    for words, told in (
+        ("--mesh-share 0.5 --makers 2", "--makers, --mesh_share is for samples that"),
+        ("--weights small --config small", "--weights come with their sizes"),
+        ("--stream S --shown -1", "`--shown` must be at least 0, got -1"),
+        ("--stream S --seed 4", "samples to train and to validate on are the same"),
+        ("OTHER", "samples to train and to validate on are the same: both of seed 4"),
+        ("TRAIN --hourly OLD", "`--hourly` must have operators"),
+    ):
+        options = [str(tmp_path / word) if word.isupper() else word for word in words.split()]
+        options += [] if "--weights" in options else sizes
+        assert train_neo.main([*options, *given]) == 2
+        assert told in capsys.readouterr().err

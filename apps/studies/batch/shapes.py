@@ -24,7 +24,7 @@ def write_pool(pool: Path, folder: Path, count: int) -> list[Path]:
     for i in range(len(meshes)):
         if len(paths) == count:
             return paths
-        if meshes.point_offsets[i + 1] - meshes.point_offsets[i] < _SMALLEST:
+        if len(meshes.points[i]) < _SMALLEST:
             continue
         path = folder / f"{meshes.names[i]}.ply"
         if not path.exists():

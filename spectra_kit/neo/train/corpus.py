@@ -21,15 +21,15 @@ import re
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, nullcontext
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,6 +45,7 @@ from spectra_kit.neo.train.samples import (
     REASONS,
     CorpusConfig,
     Samples,
+    common_labels,
     make_sample,
 )
 
@@ -55,112 +56,80 @@ _NAME = re.compile(r"shard_\d{4,}")
 Reader = Callable[[Sequence[int]], Samples]
 
 
-class Source(Protocol):
+class Source:
     """Where the samples of a run come from: a `Corpus`, or a `SampleStream` that makes them."""
 
-    @property
-    def n_points(self) -> int:
-        """Points per sample."""
-
-    @property
-    def k(self) -> int:
-        """Modes per sample."""
+    n_points: int  #: points per sample
+    k: int  #: modes per sample
+    has_operators: bool  #: whether all samples come with them
+    capacity: int  #: samples that there may be at a time, at most
 
     @property
     def fewest(self) -> int:
         """Points of the smallest sample, without padding."""
-
-    @property
-    def has_operators(self) -> bool:
-        """Whether all samples come with their operators."""
-
-    @property
-    def capacity(self) -> int:
-        """Samples that there may be at a time, at most."""
+        raise NotImplementedError
 
     @property
     def made(self) -> int:
         """Samples that there have been so far."""
+        return self.capacity
 
     def identity(self, config: TrainConfig) -> dict[str, Any] | None:
-        """Return what a batch follows from beside (seed, step) and the samples, as JSON."""
+        """Return what a batch follows from beside (seed, step) and the samples, as JSON.
+
+        Nothing for shards: a run may go on when some were added.
+        """
+        return None
+
+    def begin(self, config: TrainConfig) -> None:
+        """Wait until there is enough to show."""
 
     def draw(self, config: TrainConfig, step: int) -> tuple[NDArray[np.int64], Reader]:
         """Return the numbers of the samples that a step shows, shape (batch,), and their reader.
 
-        A number is always that of the same sample, and the lowest ones leave first.
+        A number is always that of the same sample; of those that there are at a time, no two differ
+        by `capacity` or more.
         """
+        raise NotImplementedError
 
 
-@dataclass(frozen=True, eq=False)
-class Corpus:
-    """The samples of folders of shards, numbered through; made by `open_shards`.
+class Corpus(Source):
+    """The samples of shards, numbered through; of folders of them by `open_shards`.
 
     Parameters
     ----------
-    shards : tuple of Samples
-        Memory maps, one per shard.
+    shards : sequence of Samples
+        Of folders, memory maps.
     """
 
-    shards: tuple[Samples, ...]
-
-    def __post_init__(self) -> None:
-        sizes = {(s.mass.shape[1], s.eigenvectors.shape[2]) for s in self.shards}
+    def __init__(self, shards: Sequence[Samples]) -> None:
+        sizes = {(s.mass.shape[1], s.eigenvectors.shape[2]) for s in shards}
         if len(sizes) != 1:
             raise InvalidInputError(
                 f"shards must have the same (points, modes) per sample, got {sorted(sizes)}",
                 advice="keep corpora of different sizes apart, and train on one at a time",
             )
+        self.shards = tuple(shards)
+        ((self.n_points, self.k),) = sizes
+        self.has_operators = all(shard.has_operators for shard in shards)
+        self._ends = np.cumsum([len(shard) for shard in shards])  # in samples
+        self.capacity = int(self._ends[-1])
+
+    def __len__(self) -> int:
+        return self.capacity
 
     @cached_property
     def labels(self) -> dict[str, NDArray[np.int64]]:
         """Integer labels of all samples, those that every shard has."""
-        common = set.intersection(*(set(shard.labels) for shard in self.shards))
-        return {
-            name: np.concatenate([shard.labels[name] for shard in self.shards])
-            for name in sorted(common)
-        }
-
-    @cached_property
-    def _ends(self) -> NDArray[np.int64]:
-        """Where each shard ends, in samples."""
-        return np.cumsum([len(shard) for shard in self.shards])
-
-    def __len__(self) -> int:
-        return int(self._ends[-1])
-
-    @property
-    def capacity(self) -> int:
-        """All of them."""
-        return len(self)
-
-    @property
-    def made(self) -> int:
-        """All of them."""
-        return len(self)
-
-    @property
-    def n_points(self) -> int:
-        """Points per sample."""
-        return int(self.shards[0].mass.shape[1])
-
-    @property
-    def k(self) -> int:
-        """Modes per sample."""
-        return int(self.shards[0].eigenvectors.shape[2])
+        return common_labels(self.shards)
 
     @cached_property
     def fewest(self) -> int:
-        """Points of the smallest sample, without padding."""
+        """See `Source`."""
         counts = self.labels.get("n")
         if counts is None:  # as in shards of before, joined with others
             counts = np.concatenate([np.count_nonzero(s.mass, axis=1) for s in self.shards])
         return int(np.min(counts, initial=self.n_points))
-
-    @property
-    def has_operators(self) -> bool:
-        """Whether all samples come with their operators."""
-        return all(shard.has_operators for shard in self.shards)
 
     def batch(self, indices: ArrayLike) -> Samples:
         """Read the samples `indices`, shape (b,), into memory, in that order."""
@@ -170,12 +139,8 @@ class Corpus:
         places = zip(which, chosen - first[which], strict=True)
         return Samples.joined([self.shards[i][j : j + 1] for i, j in places])
 
-    def identity(self, config: TrainConfig) -> dict[str, Any] | None:
-        """Return nothing: a run may go on when shards were added."""
-        return None
-
     def draw(self, config: TrainConfig, step: int) -> tuple[NDArray[np.int64], Reader]:
-        """Return what a step shows, see `Source`."""
+        """See `Source`."""
         numbers = shuffled(len(self), config, step)
         return numbers, lambda places: self.batch(numbers[places])
 
@@ -242,7 +207,7 @@ def open_shards(*folders: str | os.PathLike[str]) -> Corpus:
     *folders : path
         Where `write_shard` wrote. The samples of one that is named twice count twice.
     """
-    return Corpus(tuple(_open_shard(path) for folder in folders for path in _paths(Path(folder))))
+    return Corpus([_open_shard(path) for folder in folders for path in _paths(Path(folder))])
 
 
 def _paths(root: Path) -> list[Path]:
@@ -347,8 +312,8 @@ def generate(
     missing = [i for i in shards if not _is_there(root, i, sizes[i])]
     indices = [i * config.shard_size + j for i in missing for j in range(sizes[i])]
     # One process is this one: nothing to start, and errors come with their own trace.
-    here = nullcontext(make_sample(config, i) for i in indices)
-    with here if workers == 1 else produced(config, indices, workers) as samples:
+    here = (make_sample(config, i) for i in indices)
+    with closing(here if workers == 1 else produced(config, indices, workers)) as samples:
         done = 0
         for i in missing:
             shard = []
@@ -415,14 +380,13 @@ def _is_there(root: Path, index: int, size: int) -> bool:
     return True
 
 
-@contextmanager
 def produced(
     config: CorpusConfig, indices: Iterable[int], workers: int
-) -> Iterator[Iterator[Samples]]:
-    """Make samples in processes of one thread each, ahead of need, and hand them out in order.
+) -> Generator[Samples, None, None]:
+    """Make samples in processes of one thread each, ahead of need, and yield them in order.
 
-    Of any number of `indices`. Taking one raises `WorkerError` if
-    a process has died. Leaving the block ends the processes; they also end with this one.
+    Of any number of `indices`. Raises `WorkerError` if a process has died. Closing ends the
+    processes; they also end with this one.
     """
     todo = iter(indices)
     executor = ProcessPoolExecutor(
@@ -432,31 +396,21 @@ def produced(
         first = islice(todo, _AHEAD * workers)
         with _one_thread():  # all processes start here, and read this
             ahead = deque(executor.submit(make_sample, config, i) for i in first)
-        yield _in_order(executor, config, ahead, todo)
+        while ahead:
+            sample = ahead.popleft().result()
+            ahead.extend(executor.submit(make_sample, config, i) for i in islice(todo, 1))
+            yield sample
+    except BrokenProcessPool as error:
+        raise WorkerError(
+            "a process that makes samples has died, perhaps for lack of memory",
+            advice="start again with fewer `workers`",
+        ) from error
     finally:
         executor.shutdown(cancel_futures=True)
 
 
-def _in_order(
-    executor: ProcessPoolExecutor,
-    config: CorpusConfig,
-    ahead: deque[Future[Samples]],
-    todo: Iterator[int],
-) -> Iterator[Samples]:
-    while ahead:
-        try:
-            sample = ahead.popleft().result()
-            ahead.extend(executor.submit(make_sample, config, i) for i in islice(todo, 1))
-        except BrokenProcessPool as error:
-            raise WorkerError(
-                "a process that makes samples has died, perhaps for lack of memory",
-                advice="start again with fewer `workers`",
-            ) from error
-        yield sample
-
-
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def _one_thread() -> Generator[None, None, None]:
     """Have processes that start in this block load their libraries for one thread."""
     before = {name: os.environ.get(name) for name in _THREAD_LIMITS}
     os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))

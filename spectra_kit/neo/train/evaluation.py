@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -22,7 +22,7 @@ from spectra_kit.neo.train.checkpoint import Row
 from spectra_kit.neo.train.config import TrainConfig
 from spectra_kit.neo.train.corpus import Corpus
 from spectra_kit.neo.train.families import FAMILIES
-from spectra_kit.neo.train.loader import for_validation, posed
+from spectra_kit.neo.train.loader import Batch, for_validation, posed
 from spectra_kit.operators.laplacian import Laplacian
 
 _DTYPES = {"float32": None, "bfloat16": torch.bfloat16, "float16": torch.float16}
@@ -59,22 +59,32 @@ def validate(
     n = min(config.validation, len(corpus))
 
     @torch.no_grad()
-    def errors(first: int) -> list[Tensor]:
+    def errors(first: int) -> Tensor:
         indices = range(first, min(first + 8, n))
         whole = for_validation(posed(corpus.batch(indices), config), config, first)
-        points, mass, U, smoothers = whole.to(device)
-        with autocast(device.type, config.precision):
-            F = network(points, mass)
-        if smoothers:
-            return [left.mean(-1) for left in smoothed_residuals(F, mass, U, *smoothers)]
-        return [mode_residuals(F, mass, U).mean(-1)]
+        return predicted(network, whole.to(device), config)[1]
 
     apply = map if threads is None else threads.map
-    found = zip(*apply(errors, range(0, n, 8)), strict=True)
-    names = ("validation", "smoothed")
+    found = torch.cat([*apply(errors, range(0, n, 8))], dim=1).double().cpu().numpy()
     mean = typical if config.relative else np.mean
-    parts = (torch.cat(part).double().cpu().numpy() for part in found)
-    return {name: float(mean(part)) for name, part in zip(names, parts, strict=False)}
+    names = ("validation", "smoothed")
+    return {name: float(mean(part)) for name, part in zip(names, found, strict=False)}
+
+
+def predicted(
+    network: Callable[[Tensor, Tensor], Tensor], batch: Batch, config: TrainConfig
+) -> tuple[Tensor, Tensor]:
+    """Return the functions that a network predicts, and the errors of the samples, (1 or 2, b).
+
+    Means over the modes: span errors and, where there are operators, what smoothing leaves of them.
+    """
+    points, mass, U, smoothers = batch
+    dtype = _DTYPES[config.precision]
+    with torch.autocast(points.device.type, dtype=dtype, enabled=dtype is not None):
+        F = network(points, mass)
+    if smoothers:
+        return F, torch.stack(smoothed_residuals(F, mass, U, *smoothers)).mean(-1)
+    return F, mode_residuals(F, mass, U).mean(-1)[None]
 
 
 def errors_of(
@@ -161,9 +171,3 @@ def kinds(labels: Mapping[str, NDArray[np.int64]]) -> NDArray[np.str_]:
     return np.array(
         [f"{form} of a {names[i]}" for form, i in zip(forms, labels["family"], strict=True)]
     )
-
-
-def autocast(device: str, precision: str) -> torch.autocast:
-    """Return the context in which a network computes in a precision."""
-    dtype = _DTYPES[precision]
-    return torch.autocast(device, dtype=dtype, enabled=dtype is not None)

@@ -231,14 +231,15 @@ def make_mesh(family: str, seed: int | tuple[int, ...]) -> TriangleMesh:
 
 def draw_family(rng: Rng, changed: Mapping[str, float] = MappingProxyType({})) -> int:
     """Draw the index of a family by the weights of `FAMILIES`, some of them changed."""
-    weights = np.array([changed.get(name, weight) for name, (_, weight) in FAMILIES.items()])
+    weights = np.array(list(family_weights(changed).values()))
     return int(rng.choice(len(weights), p=weights / weights.sum()))
 
 
-def check_weights(weights: Mapping[str, float]) -> None:
-    """Raise `InvalidInputError` unless these are weights of families."""
-    if strange := sorted(weights.keys() - FAMILIES.keys()):
+def family_weights(changed: Mapping[str, float]) -> dict[str, float]:
+    """Return the weights of `FAMILIES`, some of them changed: none negative, and not all zero."""
+    if strange := sorted(changed.keys() - FAMILIES.keys()):
         raise InvalidInputError("weights", f"be of families {sorted(FAMILIES)}", strange)
-    every = {name: weight for name, (_, weight) in FAMILIES.items()} | dict(weights)
-    if min(every.values()) < 0 or not 0 < sum(every.values()) < np.inf:
-        raise InvalidInputError("weights", "not be negative, and not all be zero", weights)
+    weights = {name: changed.get(name, weight) for name, (_, weight) in FAMILIES.items()}
+    if min(weights.values()) < 0 or not 0 < sum(weights.values()) < np.inf:
+        raise InvalidInputError("weights", "not be negative, and not all be zero", changed)
+    return weights

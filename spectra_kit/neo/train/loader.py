@@ -12,6 +12,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from spectra_kit._core.threads import ranges
@@ -23,6 +24,7 @@ from spectra_kit.neo.train.samples import Samples
 
 _FEW = 4  # samples at a time whose features fit a CPU's caches: a tenth quicker than sixteen
 _ROOM = 0.5  # share of an accelerator's free memory that samples may fill
+_Read = tuple[NDArray[np.int64], NDArray[np.int64], "Batch | None"]
 
 
 class Batch(NamedTuple):
@@ -99,54 +101,48 @@ class Loader:
 
     def __call__(self, step: int) -> Batch:
         """Return this process's share of the batch of a step."""
-        if self._ahead is None or self._ahead[0] != step:
-            self._begin(step)
-        assert self._ahead is not None
-        numbers, new, batch = self._ahead[1].result()
-        if batch is not None:
-            batch = batch.to(self._device)
+        ahead = self._ahead
+        read = ahead[1] if ahead is not None and ahead[0] == step else self._begun(step)
+        numbers, new, batch = read.result()
+        batch = None if batch is None else batch.to(self._device)
         if self._store is not None:
             if batch is not None:
                 self._store.add(new, batch)
             batch = self._store.batch(numbers)
         assert batch is not None  # without a store, all are read
-        self._begin(step + 1)
+        # What the next step shows and the device does not hold.
+        self._ahead = step + 1, self._begun(step + 1)
         return vary(batch, self._config, step, self._share)
 
-    def _begin(self, step: int) -> None:
-        """Have the thread read what a step shows and the device does not hold."""
-        self._ahead = step, self._thread.submit(self._read, step)
+    def _begun(self, step: int) -> Future[_Read]:
+        return self._thread.submit(self._read, step)
 
     def _read(self, step: int) -> _Read:
+        """Return the numbers of the samples that a step shows, of those that are read, and these.
+
+        Those alone are read that the device does not hold.
+        """
         numbers, reader = self._source.draw(self._config, step)
         shown: Sequence[int] = range(len(numbers))[self._share]
         if self._store is not None:
             there = {int(numbers[i]): i for i in shown}
-            shown = [i for number, i in there.items() if number not in self._store.slots]
-        found = numbers[self._share].tolist(), numbers[list(shown)].tolist()
+            shown = [i for number, i in there.items() if not self._store.has(number)]
+        found = numbers[self._share], numbers[list(shown)]
         if not shown:
-            return _Read(*found, None)
-        samples = reader(shown)
-        if not self._config.beta:
-            samples = samples.without_operators()
+            return *found, None
         count = share_count(len(shown), self._config.workers, self._device)
-        batch = posed(samples, self._config, count)
+        batch = posed(reader(shown), self._config, count if self._config.beta else 0)
         if self._device.type == "cuda":
             points, mass, modes = (part.pin_memory() for part in batch[:3])
             batch = Batch(points, mass, modes, batch.smoothers)
-        return _Read(*found, batch)
-
-
-class _Read(NamedTuple):
-    """What was read for a step."""
-
-    numbers: list[int]  # of the samples that the step shows
-    new: list[int]  # of those that were read
-    batch: Batch | None
+        return *found, batch
 
 
 class _Store:
-    """Room in the memory of a device for so many posed samples, each under its number."""
+    """Room in the memory of a device for the posed samples that a source has at a time.
+
+    A sample has its place by its number, which it takes from the one that has left the source.
+    """
 
     def __init__(self, room: int, n: int, k: int, device: torch.device) -> None:
         self.parts = (
@@ -154,22 +150,23 @@ class _Store:
             torch.empty(room, n, device=device),
             torch.empty(room, n, k, dtype=torch.float16, device=device),
         )
-        self.slots: dict[int, int] = {}  # number of a sample -> its place in the parts
-        self.free = list(range(room))
+        self.held = np.full(room, -1)  # the number of the sample in each place
 
-    def add(self, numbers: list[int], batch: Batch) -> None:
-        """Take in samples, in place of the lowest numbers if need be, which left their source."""
-        missing = len(numbers) - len(self.free)
-        self.free += [self.slots.pop(number) for number in sorted(self.slots)[: max(0, missing)]]
-        slots = [self.free.pop() for _ in numbers]
-        self.slots |= zip(numbers, slots, strict=True)
+    def has(self, number: int) -> bool:
+        """Whether the sample of this number is there."""
+        return bool(self.held[number % len(self.held)] == number)
+
+    def add(self, numbers: NDArray[np.int64], batch: Batch) -> None:
+        """Take in samples."""
+        places = numbers % len(self.held)
+        self.held[places] = numbers
         for part, values in zip(self.parts, batch[:3], strict=True):
-            part[torch.tensor(slots)] = values
+            part[torch.from_numpy(places)] = values
 
-    def batch(self, numbers: list[int]) -> Batch:
+    def batch(self, numbers: NDArray[np.int64]) -> Batch:
         """Return the samples of these numbers."""
-        slots = torch.tensor([self.slots[n] for n in numbers], device=self.parts[0].device)
-        points, mass, modes = (part[slots] for part in self.parts)
+        places = torch.from_numpy(numbers % len(self.held)).to(self.parts[0].device)
+        points, mass, modes = (part[places] for part in self.parts)
         return Batch(points, mass, modes)
 
 
@@ -177,7 +174,7 @@ def posed(samples: Samples, config: TrainConfig, parts: int = 1) -> Batch:
     """Return samples as tensors, the points posed, with the smoothers of so many `parts`.
 
     In the principal frame where the network expects it, else centred; modes stay float16. There
-    are smoothers where the samples have operators.
+    are smoothers where the samples have operators, and `parts` is not 0.
     """
     points = np.empty_like(samples.points, dtype=np.float32)
     for out, x, w in zip(points, samples.points, samples.mass, strict=True):
@@ -187,27 +184,19 @@ def posed(samples: Samples, config: TrainConfig, parts: int = 1) -> Batch:
         else:
             out[:] = x - (w.astype(np.float64) / w.sum(dtype=np.float64)) @ x
     mass, modes = np.ascontiguousarray(samples.mass), np.ascontiguousarray(samples.eigenvectors)
+    shares = _shares(len(samples), parts) if parts and samples.has_operators else []
     return Batch(
         torch.from_numpy(points),
         torch.from_numpy(mass),
         torch.from_numpy(modes),
-        _smoothers(samples, config, parts),
+        tuple(_smoother(samples[share], config.smoothing) for share in shares),
     )
 
 
-def _smoothers(samples: Samples, config: TrainConfig, parts: int) -> tuple[Smoother, ...]:
-    if not samples.has_operators:
-        return ()
-    return tuple(
-        Smoother.of(
-            [share.stiffness(i) for i in range(len(share))],
-            share.mass,
-            share.arrays()["eigenvalues"],
-            share.eigenvectors,
-            degree=config.smoothing,
-        )
-        for share in (samples[part] for part in _shares(len(samples), parts))
-    )
+def _smoother(samples: Samples, degree: int) -> Smoother:
+    L = [samples.stiffness(i) for i in range(len(samples))]
+    values = samples.arrays()["eigenvalues"]
+    return Smoother.of(L, samples.mass, values, samples.eigenvectors, degree=degree)
 
 
 def vary(batch: Batch, config: TrainConfig, step: int, share: slice = slice(None)) -> Batch:

@@ -11,7 +11,6 @@ import csv
 import hashlib
 import os
 import zipfile
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -37,22 +36,18 @@ class MeshPool:
 
     Parameters
     ----------
-    points : ndarray of shape (n, 3), float16
-        Of all meshes, one after the other.
-    faces : ndarray of shape (f, 3), uint16
-        Indices within each mesh.
-    point_offsets, face_offsets : ndarray of shape (len(pool) + 1,)
-        Where each mesh begins, and the last one ends.
+    points : list of ndarray of shape (n, 3), float16
+        Of each mesh.
+    faces : list of ndarray of shape (f, 3), uint16
+        Of each mesh.
     names : tuple of str
         Of each mesh in the manifest.
     split : str
         The split that all of them belong to.
     """
 
-    points: NDArray[np.float16]
-    faces: NDArray[np.uint16]
-    point_offsets: NDArray[np.int64]
-    face_offsets: NDArray[np.int64]
+    points: list[NDArray[np.float16]]
+    faces: list[NDArray[np.uint16]]
     names: tuple[str, ...]
     split: str
 
@@ -62,16 +57,25 @@ class MeshPool:
     def mesh(self, index: int) -> TriangleMesh:
         """Return mesh number `index`, as it was packed."""
         check_count("index", index, low=0, high=len(self) - 1)
-        points = self.points[self.point_offsets[index] : self.point_offsets[index + 1]]
-        faces = self.faces[self.face_offsets[index] : self.face_offsets[index + 1]]
+        points, faces = self.points[index], self.faces[index]
         return TriangleMesh(points.astype(np.float64), faces.astype(np.int64))
+
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All meshes one after the other, and where each begins, as a file packs them."""
+        return {
+            "V": np.concatenate(self.points),
+            "F": np.concatenate(self.faces),
+            "voff": np.cumsum([0, *map(len, self.points)]),
+            "foff": np.cumsum([0, *map(len, self.faces)]),
+        }
 
     @cached_property
     def digest(self) -> str:
         """Hash of all meshes and their order: equal pools have equal digests, packed or not."""
         digest = hashlib.blake2b(self.split.encode(), digest_size=16)
         digest.update("\n".join(self.names).encode())
-        for array in (self.points, self.faces, self.point_offsets, self.face_offsets):
+        for array in self.arrays.values():
             digest.update(np.ascontiguousarray(array).data)
         return digest.hexdigest()
 
@@ -107,19 +111,31 @@ def open_pool(path: str | os.PathLike[str], split: str) -> MeshPool:
 
 @lru_cache(maxsize=4)
 def _open(root: Path, split: str, stamps: tuple[tuple[str, int, int], ...]) -> MeshPool:
+    """Pick the meshes of a split from all chunks, in the order of their names."""
     if not root.is_dir():
-        chunk = _read(root)
-        return _joined(
-            [chunk], chunk["ids"] if chunk.get("split", "") == split else (), split, root
+        chunks = [_read(root)]
+        wanted = set(map(str, chunks[0]["ids"])) if chunks[0].get("split", "") == split else set()
+    else:
+        chunks = [_read(file) for file in sorted(root.glob("pool_*.npz"))]
+        if not chunks or not (root / "manifest.csv").is_file():
+            raise InvalidInputError(
+                "path", "hold chunks pool_*.npz and a manifest.csv", f"the folder {root}"
+            )
+        with (root / "manifest.csv").open(newline="") as file:
+            wanted = {row["id"] for row in csv.DictReader(file) if row["split"] == split}
+    parts = {
+        str(name): (
+            chunk["V"][slice(*chunk["voff"][i : i + 2])].astype(np.float16),
+            chunk["F"][slice(*chunk["foff"][i : i + 2])].astype(np.uint16),
         )
-    chunks = [_read(file) for file in sorted(root.glob("pool_*.npz"))]
-    if not chunks or not (root / "manifest.csv").is_file():
-        raise InvalidInputError(
-            "path", "hold chunks pool_*.npz and a manifest.csv", f"the folder {root}"
-        )
-    with (root / "manifest.csv").open(newline="") as file:
-        wanted = [row["id"] for row in csv.DictReader(file) if row["split"] == split]
-    return _joined(chunks, wanted, split, root)
+        for chunk in chunks
+        for i, name in enumerate(chunk["ids"])
+    }
+    names = sorted(parts.keys() & wanted)
+    if not names:
+        raise InvalidInputError("split", f"be one that meshes of {root} are in", repr(split))
+    points, faces = zip(*(parts[name] for name in names), strict=True)
+    return MeshPool(list(points), list(faces), tuple(names), split)
 
 
 def varied(
@@ -152,14 +168,7 @@ def pack_pool(path: str | os.PathLike[str], target: str | os.PathLike[str], spli
     if Path(target).suffix != ".npz":
         raise InvalidInputError("target", "end in .npz", repr(os.fspath(target)))
     pool = open_pool(path, split)
-    arrays: dict[str, NDArray[Any]] = {
-        "V": pool.points,
-        "F": pool.faces,
-        "voff": pool.point_offsets,
-        "foff": pool.face_offsets,
-        "ids": np.array(pool.names),
-        "split": np.array(split),
-    }
+    arrays = pool.arrays | {"ids": np.array(pool.names), "split": np.array(split)}
     with (
         atomic_path(target) as temporary,
         zipfile.ZipFile(temporary, "w", compression=zipfile.ZIP_LZMA) as archive,
@@ -180,29 +189,3 @@ def _read(path: Path) -> dict[str, NDArray[Any]]:
     if missing := [key for key in _KEYS if key not in chunk]:
         raise InvalidInputError("path", "be a mesh pool", f"{path} without {missing}")
     return chunk
-
-
-def _joined(
-    chunks: list[dict[str, NDArray[Any]]], wanted: Iterable[str], split: str, root: Path
-) -> MeshPool:
-    """Pick the wanted meshes from all chunks, in the order of their names."""
-    parts = {
-        str(name): (
-            chunk["V"][slice(*chunk["voff"][i : i + 2])].astype(np.float16),
-            chunk["F"][slice(*chunk["foff"][i : i + 2])].astype(np.uint16),
-        )
-        for chunk in chunks
-        for i, name in enumerate(chunk["ids"])
-    }
-    names = sorted(parts.keys() & set(map(str, wanted)))
-    if not names:
-        raise InvalidInputError("split", f"be one that meshes of {root} are in", repr(split))
-    points, faces = zip(*(parts[name] for name in names), strict=True)
-    return MeshPool(
-        np.concatenate(points),
-        np.concatenate(faces),
-        np.cumsum([0, *map(len, points)]),
-        np.cumsum([0, *map(len, faces)]),
-        tuple(names),
-        split,
-    )

@@ -24,7 +24,7 @@ from spectra_kit.eigen.lanczos import cheapest
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry.sampling import GaussianDensity, sample
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.neo.train.families import FAMILIES, check_weights, draw_family, make_mesh
+from spectra_kit.neo.train.families import FAMILIES, draw_family, family_weights, make_mesh
 from spectra_kit.neo.train.pool import open_pool, varied
 from spectra_kit.neo.train.surfaces import at_resolution
 from spectra_kit.operators import delaunay_laplacian
@@ -47,6 +47,7 @@ OPERATORS: dict[str, Any] = {
     "columns": np.int32,
     "entries": np.float32,
 }
+_OF_ALL = ("columns", "entries")  # which have no row for each sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,34 +98,30 @@ class Samples:
     entries: NDArray[np.floating] | None = None
 
     def __post_init__(self) -> None:
-        for name, dtype in (ARRAYS | OPERATORS).items():
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, np.asarray(getattr(self, name), dtype))
+        for name, array in self.arrays().items():
+            object.__setattr__(self, name, np.asarray(array, (ARRAYS | OPERATORS)[name]))
         labels = {name: np.asarray(label, np.int64) for name, label in self.labels.items()}
         object.__setattr__(self, "labels", labels)
-        points, mass, modes = (getattr(self, name).shape for name in ARRAYS)
-        if not len(self.mass) or points != (*mass, 3) or len(modes) != 3 or modes[:2] != mass:
+        found = {name: array.shape for name, array in self.arrays().items()}
+        s, n, k, *_ = *found["eigenvectors"], 0, 0, 0
+        plain = {"points": (s, n, 3), "mass": (s, n), "eigenvectors": (s, n, k)}
+        e = 0 if self.starts is None or not self.starts.size else int(self.starts.flat[-1])
+        whole = plain | {
+            "eigenvalues": (s, k),
+            "starts": (s, n + 1),
+            "columns": (e,),
+            "entries": (e,),
+        }
+        if not s or found not in (plain, whole):
             raise InvalidInputError(
-                "`points`, `mass` and `eigenvectors` must have shapes (s, n, 3), (s, n) and"
-                f" (s, n, k) with s >= 1, got {points}, {mass} and {modes}"
+                "samples", f"be one or more, in arrays of shapes {whole}, or the first three", found
             )
         for name, label in labels.items():
-            if label.shape != mass[:1]:
+            if label.shape != (s,):
                 raise InvalidInputError(
-                    f"label `{name}` must have one integer for each of {mass[0]} samples,"
+                    f"label `{name}` must have one integer for each of {s} samples,"
                     f" got {label.shape}"
                 )
-        there = [getattr(self, name) for name in OPERATORS]
-        if all(array is None for array in there):
-            return
-        found = [None if array is None else array.shape for array in there]
-        last = 0 if self.starts is None or not self.starts.size else int(self.starts.flat[-1])
-        wanted = [(mass[0], modes[2]), (mass[0], mass[1] + 1), (last,), (last,)]
-        if found != wanted:
-            raise InvalidInputError(
-                "`eigenvalues`, `starts`, `columns` and `entries` must have shapes"
-                f" {', '.join(map(str, wanted))}, got {', '.join(map(str, found))}"
-            )
 
     def __len__(self) -> int:
         return len(self.mass)
@@ -136,56 +133,48 @@ class Samples:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return what there is of them, by name."""
-        names = ARRAYS | OPERATORS if self.has_operators else ARRAYS
-        return {name: getattr(self, name) for name in names}
-
-    def without_operators(self) -> Samples:
-        """Return the same samples without them."""
-        return Samples(self.points, self.mass, self.eigenvectors, self.labels)
+        arrays = {name: getattr(self, name) for name in ARRAYS | OPERATORS}
+        return {name: array for name, array in arrays.items() if array is not None}
 
     def __getitem__(self, part: slice) -> Samples:
         """Return neighbouring samples, as views."""
-        given = self.arrays()
-        cut = {name: given[name][part] for name in (*ARRAYS, "eigenvalues") if name in given}
-        if self.has_operators:
-            starts = given["starts"][part]
+        cut = {name: array[part] for name, array in self.arrays().items() if name not in _OF_ALL}
+        if self.starts is not None:
+            starts = cut["starts"]
             ends = slice(int(starts[0, 0]), int(starts[-1, -1]))
-            cut |= {name: given[name][ends] for name in ("columns", "entries")}
+            cut |= {name: getattr(self, name)[ends] for name in _OF_ALL}
             cut["starts"] = starts - np.int32(ends.start)
         return Samples(**cut, labels={name: label[part] for name, label in self.labels.items()})
 
     @classmethod
     def joined(cls, parts: Sequence[Samples]) -> Samples:
         """Return all samples of several: with operators and labels that every one of them has."""
-        given = [part.arrays() for part in parts]
-        if not all(part.has_operators for part in parts):
-            given = [{name: arrays[name] for name in ARRAYS} for arrays in given]
-        else:
+        names = ARRAYS | OPERATORS if all(part.has_operators for part in parts) else ARRAYS
+        given = [{name: getattr(part, name) for name in names} for part in parts]
+        if "starts" in names:
             first = np.cumsum([0, *(len(arrays["entries"]) for arrays in given)])
             for arrays, start in zip(given, first.tolist(), strict=False):
                 arrays["starts"] = arrays["starts"] + np.int32(start)
-        common = set.intersection(*(set(part.labels) for part in parts))
-        return cls(
-            **{name: np.concatenate([arrays[name] for arrays in given]) for name in given[0]},
-            labels={
-                name: np.concatenate([part.labels[name] for part in parts])
-                for name in sorted(common)
-            },
-        )
+        arrays = {name: np.concatenate([one[name] for one in given]) for name in names}
+        return cls(**arrays, labels=common_labels(parts))
 
     def stiffness(self, i: int) -> sparse.csr_array:
         """Return L of sample i, shape (n, n), float64."""
-        one, n = self[i : i + 1], self.mass.shape[1]
-        assert one.starts is not None
-        assert one.entries is not None
-        data = one.entries.astype(np.float64)
-        upper = sparse.csr_array((data, one.columns, one.starts[0]), shape=(n, n))
+        n, one = self.mass.shape[1], self[i : i + 1].arrays()
+        data = one["entries"].astype(np.float64)
+        upper = sparse.csr_array((data, one["columns"], one["starts"][0]), shape=(n, n))
         off = upper + upper.T
         return sparse.csr_array(off - sparse.diags_array(off.sum(axis=1)))
 
     def label(self, i: int) -> dict[str, int]:
         """Return what sample i is."""
         return {name: int(label[i]) for name, label in self.labels.items()}
+
+
+def common_labels(parts: Sequence[Samples]) -> dict[str, NDArray[np.int64]]:
+    """Return the labels that all of several samples have, those of one after the other."""
+    common = set.intersection(*(set(part.labels) for part in parts))
+    return {name: np.concatenate([part.labels[name] for part in parts]) for name in sorted(common)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -239,7 +228,7 @@ class CorpusConfig:
         check_count("k", self.k, low=1)
         check_count("n_points", self.n_points, low=max(64, 2 * self.k))
         check_count("shard_size", self.shard_size, low=1)
-        check_weights(self.weights)
+        family_weights(self.weights)
         for name in ("nonuniform", "pool_share", "mesh_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InvalidInputError(name, "be in [0, 1]", getattr(self, name))
@@ -261,8 +250,7 @@ class CorpusConfig:
         values = asdict(self)
         path, split = values.pop("pool"), values.pop("pool_split")
         values["pool"] = open_pool(path, split).digest if self.pool_share else None
-        changed = values.pop("weights")
-        weights = {name: weight for name, (_, weight) in FAMILIES.items()} | changed
+        weights = family_weights(values.pop("weights"))
         return {"format": 7, **values, "families": weights if self.pool_share < 1 else {}}
 
 

@@ -5,6 +5,7 @@ So an accelerator neither waits for a corpus nor needs gigabytes of files.
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import threading
@@ -12,6 +13,7 @@ import time
 from collections import deque
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from itertools import count as count_from
 from itertools import islice
 from pathlib import Path
@@ -26,6 +28,7 @@ from spectra_kit.neo.train.config import TrainConfig
 from spectra_kit.neo.train.corpus import (
     Corpus,
     Reader,
+    Source,
     claim,
     open_shards,
     produced,
@@ -40,7 +43,7 @@ _LOOK = 0.1  # seconds between looks of a reader that waits
 _SPARE = 4  # shards before the last window that are kept: a run may go on from some steps before
 
 
-class SampleStream:
+class SampleStream(Source):
     """An endless corpus: sample `start`, `start` + 1, ... of a configuration, the newest at hand.
 
     Sample number i is the one that `make_sample` makes. The buffer grows to `capacity`; then the
@@ -58,11 +61,10 @@ class SampleStream:
     start : int, default 0
         Number of the first sample. With a `folder`, a multiple of the shard size.
     folder : path, optional
-        Save whole shards there, as `generate` does. Those from `start` on that are there already
-        fill the buffer at once, and the stream goes on behind the last.
-    bounded : bool, default False
-        Remove shards from the folder that are older than the last `capacity` samples, and at first
-        those that are not needed from `start` on, or come behind a gap.
+        For nothing else. Keep whole shards there: those from `start` on that are there already fill
+        the buffer at once, and the stream goes on behind the last. Shards that are older than the
+        last `capacity` samples are removed, and at first those that are not needed from `start` on,
+        or come behind a gap.
     ahead : int, optional
         Make at most about so many samples beyond the last `window`.
 
@@ -71,17 +73,6 @@ class SampleStream:
     Use it in a ``with`` block: entering starts the processes, and leaving it ends them, also on
     Ctrl-C. They end by themselves if this process is killed. Scripts must guard their top level
     with ``if __name__ == "__main__"``, because the processes are spawned.
-
-    Examples
-    --------
-    >>> from spectra_kit.neo.train.samples import CorpusConfig
-    >>> from spectra_kit.neo.train.stream import SampleStream
-    >>> config = CorpusConfig(seed=0, n_points=128, k=4)
-    >>> with SampleStream(config, workers=1, capacity=64) as stream:
-    ...     enough = stream.ready(3, timeout=60)
-    ...     points = stream.corpus().batch([0, 2]).points
-    >>> enough, points.shape
-    (True, (2, 128, 3))
     """
 
     def __init__(
@@ -92,11 +83,10 @@ class SampleStream:
         capacity: int,
         start: int = 0,
         folder: str | os.PathLike[str] | None = None,
-        bounded: bool = False,
         ahead: int | None = None,
     ) -> None:
         self._workers = check_count("workers", workers, low=1)
-        self._capacity = check_count("capacity", capacity, low=1)
+        self.capacity = check_count("capacity", capacity, low=1)
         self._start = self._next = check_count("start", start, low=0)
         if folder is not None and start % config.shard_size:
             raise InvalidInputError(
@@ -106,48 +96,28 @@ class SampleStream:
             )
         self._ahead = None if ahead is None else check_count("ahead", ahead, low=1)
         self._first = self._asked = start  # of the last window, and where it ends
-        self._config, self._bounded = config, bounded
+        self.n_points, self.k, self.has_operators = config.n_points, config.k, True
+        self._config = config
         self._folder = None if folder is None else Path(folder)
         self._samples: deque[Samples] = deque(maxlen=None if ahead is not None else capacity)
         self._unsaved: list[Samples] = []
         self._lock, self._stop = threading.Lock(), threading.Event()
-        self._thread: ThreadPoolExecutor | None = None
+        self._thread = ThreadPoolExecutor(1)
         self._collecting: Future[None] | None = None
 
     def __enter__(self) -> Self:
         if self._folder is not None:
             self._folder.mkdir(parents=True, exist_ok=True)
             claim(self._folder, self._config)
-            if self._bounded:
-                _mark(self._folder)
+            _mark(self._folder)
             self._load(self._folder)
-        self._thread = ThreadPoolExecutor(1)
         self._collecting = self._thread.submit(self._collect)
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
         """End the processes; what is in the buffer stays readable."""
         self._stop.set()
-        if self._thread is not None:
-            self._thread.shutdown()
-
-    @property
-    def capacity(self) -> int:
-        """The number of samples that it holds at most."""
-        return self._capacity
-
-    @property
-    def n_points(self) -> int:
-        """Points per sample."""
-        return self._config.n_points
-
-    @property
-    def k(self) -> int:
-        """Modes per sample."""
-        return self._config.k
+        self._thread.shutdown()
 
     @property
     def fewest(self) -> int:
@@ -155,23 +125,24 @@ class SampleStream:
         return self._config.fewest
 
     @property
-    def has_operators(self) -> bool:
-        """Whether all samples come with their operators."""
-        return True
-
-    @property
     def made(self) -> int:
         """Samples so far, those that made room included."""
         return self._next - self._start
 
     def identity(self, config: TrainConfig) -> dict[str, Any] | None:
-        """Return what batches follow from, where it is said how often samples are shown."""
+        """See `Source`: something where it is said how often samples are shown."""
         if not config.shown:
             return None
         return {"capacity": self.capacity, "corpus": self._config.fingerprint()}
 
+    def begin(self, config: TrainConfig) -> None:
+        """Have more to show than the same few samples, where what is there is shown."""
+        if not config.shown:
+            self.ready(min(self.capacity, _BEGIN * config.batch), timeout=60)
+            self.ready(1, timeout=math.inf)
+
     def draw(self, config: TrainConfig, step: int) -> tuple[NDArray[np.int64], Reader]:
-        """Return what a step shows, see `Source`; wait for it where a sample is shown so often."""
+        """See `Source`; waits for the samples where it is said how often each is shown."""
         if config.shown:
             first, stop = window(config, step, self.capacity)
             numbers = drawn(config, step, self.capacity)
@@ -193,7 +164,7 @@ class SampleStream:
         """Return what is there now, one sample at least: samples that stay as they are."""
         self._check()
         with self._lock:
-            return Corpus(tuple(self._samples))
+            return Corpus(self._samples)
 
     def window(self, first: int, stop: int) -> Corpus:
         """Wait for the samples from number `first` to `stop`, and return them, in this order.
@@ -207,21 +178,21 @@ class SampleStream:
             )
         with self._lock:
             self._first, self._asked = first, max(self._asked, stop)
-        while self._next < stop:
-            self._check()
-            if self._stop.is_set():
-                raise InvalidInputError("stop", "be a sample that the closed stream holds", stop)
-            self._stop.wait(_LOOK)
+        if not self._came(stop, math.inf):
+            raise InvalidInputError("stop", "be a sample that the closed stream holds", stop)
         with self._lock:
             while self._next - len(self._samples) < first:
                 self._samples.popleft()
-            return Corpus(tuple(islice(self._samples, stop - first)))
+            return Corpus(list(islice(self._samples, stop - first)))
 
     def ready(self, n: int, timeout: float) -> bool:
         """Wait until `n` samples have come in, at most `timeout` seconds; say whether they have."""
-        check_count("n", n, low=1, high=self._capacity)
-        end = time.monotonic() + timeout
-        while self._next - self._start < n:
+        check_count("n", n, low=1, high=self.capacity)
+        return self._came(self._start + n, time.monotonic() + timeout)
+
+    def _came(self, stop: int, end: float) -> bool:
+        """Wait for the samples up to number `stop`, to a time; say whether they have come."""
+        while self._next < stop:
             self._check()
             if self._stop.is_set() or time.monotonic() > end:  # closed: none will come
                 return False
@@ -240,28 +211,20 @@ class SampleStream:
     def _load(self, folder: Path) -> None:
         """Take over the shards that are there."""
         size = self._config.shard_size
-        if self._bounded:
-            numbers = set(_numbers(folder))
-            first = end = self._next // size
-            while end in numbers:
-                end += 1
-            _remove(folder, numbers - set(range(first, end)))  # what is behind a gap, too
-        if not any(folder.glob("shard_*")):
+        numbers = set(_numbers(folder))
+        first = end = self._next // size
+        while end in numbers:
+            end += 1
+        _remove(folder, numbers - set(range(first, end)))  # what is behind a gap, too
+        if first == end:
             return
         there = open_shards(folder)
-        if not np.array_equal(there.labels["index"], self._next + np.arange(len(there))):
+        if not np.array_equal(there.labels["index"], np.arange(first * size, end * size)):
             raise InvalidInputError(
                 "folder",
-                f"hold the samples from `start` = {self._next} on without gaps",
+                f"hold whole shards of the samples from `start` = {self._next} on",
                 f"others in {folder}",
-                advice="take another folder, or its own start",
-            )
-        if len(there) % size:
-            raise InvalidInputError(
-                "folder",
-                f"hold whole shards of {size}",
-                f"{len(there)} samples in {folder}",
-                advice="delete its last shard",
+                advice="take another folder",
             )
         for shard in there.shards:
             for i in range(size):
@@ -269,7 +232,8 @@ class SampleStream:
         self._next += len(there)
 
     def _collect(self) -> None:
-        with produced(self._config, count_from(self._next), self._workers) as samples:
+        made = produced(self._config, count_from(self._next), self._workers)
+        with closing(made) as samples:
             for sample in samples:
                 if self._stop.is_set():
                     return
@@ -288,13 +252,12 @@ class SampleStream:
         self._unsaved.append(sample)
         if len(self._unsaved) < size:
             return
-        index = sample.label(0)["index"] // size
+        index = self._next // size - 1
         write_shard(self._folder, index, Samples.joined(self._unsaved))
         self._unsaved = []
-        if self._bounded:
-            last = self._first // size - _SPARE
-            last = index - max(1, self._capacity // size) if self._ahead is None else last
-            _remove(self._folder, (number for number in _numbers(self._folder) if number <= last))
+        last = self._first // size - _SPARE
+        last = index - max(1, self.capacity // size) if self._ahead is None else last
+        _remove(self._folder, [number for number in _numbers(self._folder) if number <= last])
 
 
 def window(config: TrainConfig, step: int, capacity: int) -> tuple[int, int]:
@@ -314,12 +277,12 @@ def drawn(config: TrainConfig, step: int, capacity: int) -> NDArray[np.int64]:
 
 
 def _mark(folder: Path) -> None:
-    """Tell a folder as that of a bounded stream, whose old shards may go; refuse any other."""
+    """Tell a folder as that of a stream, whose old shards may go; refuse any other."""
     mark = folder / "stream"
     if not mark.exists() and any(folder.glob("shard_*")):
         raise InvalidInputError(
             "folder",
-            "have been begun by a bounded stream, which removes shards",
+            "have been begun by a stream, which removes shards",
             f"a corpus in {folder}",
             advice="take another folder, or train on this one without a stream",
         )

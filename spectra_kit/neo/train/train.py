@@ -17,17 +17,17 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.neo.backbones import build_network
-from spectra_kit.neo.loss import mode_residuals, ortho_loss, smoothed_residuals
+from spectra_kit.neo.loss import ortho_loss
 from spectra_kit.neo.model import NeoNetwork
 from spectra_kit.neo.train import checkpoint
 from spectra_kit.neo.train.checkpoint import Log, Row
 from spectra_kit.neo.train.config import TrainConfig
 from spectra_kit.neo.train.corpus import Corpus, Source
-from spectra_kit.neo.train.evaluation import autocast, validate
+from spectra_kit.neo.train.evaluation import predicted, validate
 from spectra_kit.neo.train.loader import Batch, Loader, share_count
 from spectra_kit.neo.train.optim import average_weights, make_optimizers, warmup_stable_decay
 from spectra_kit.neo.train.ranks import Ranks
@@ -80,15 +80,13 @@ def train(
     resume: bool = False,
     initial: NeoNetwork | None = None,
     device: str = "cpu",
-    stop_after: int | None = None,
     pause_after: float | None = None,
     last: bool = False,
-    wait: Callable[[], object] | None = None,
     tensorboard: bool = False,
     report: Callable[[Row], None] | None = None,
     hourly: Callable[[NeoNetwork, Row], None] | None = None,
 ) -> TrainResult:
-    """Train a network on a corpus.
+    """Train a network on a corpus, or on a stream, and validate it on other samples.
 
     The batch of a step follows from (seed, step) and the samples there are. On shards a run that
     is stopped, or killed, and resumed from its checkpoint therefore gives the same weights and
@@ -116,14 +114,11 @@ def train(
         Weights to begin with, instead of random ones.
     device : str, default "cpu"
         Where to compute.
-    stop_after : int, optional
-        Stop, with a checkpoint, once this many steps are done in all, as if by Ctrl-C.
     pause_after : float, optional
-        Stop likewise this many seconds after the call, but not before a step is made.
+        Stop as if by Ctrl-C, with a checkpoint, this many seconds after the call, but not before a
+        step is made.
     last : bool, default False
         Rather than pause, end the schedule by then: the rate falls in the time that is left.
-    wait : callable, optional
-        Called when the network is compiled, before samples are read: to wait for a stream.
     tensorboard : bool, default False
         Write event files too, into ``out/events``.
     report : callable, optional
@@ -174,7 +169,6 @@ def train(
                 advice="resume that run, or train into another folder",
             )
     state = run.state
-    limit = config.steps if stop_after is None else min(stop_after, config.steps)
     with ExitStack() as stack:
         enter = stack.enter_context
         writer = log = None
@@ -184,25 +178,23 @@ def train(
         enter(run.threads)
         if config.compile:
             run.compile(validation.n_points)
-        if wait is not None:
-            wait()
+        corpus.begin(config)
         batch_of = enter(Loader(corpus, config, run.device, share=ranks.share(config.batch)))
         interrupted = enter(_until_interrupt())
         if last and pause_after is not None:
             left = max(1.0, called + pause_after - time.perf_counter())
             config = run.config = _shortened(config, state.seconds, ranks.agree(left, False)[0])
+            pause_after = None
         begun = state.step
         start, saved = time.perf_counter() - state.seconds, time.monotonic()
         cpu = time.process_time() - state.cpu
         losses: list[Tensor] = []
         noted = time.perf_counter(), state.samples
         while True:
-            now = time.perf_counter()
-            late = pause_after is not None and now - called > pause_after
-            paused = late and not last and state.step > begun
-            stop = interrupted() or paused
+            late = pause_after is not None and time.perf_counter() - called > pause_after
+            stop = interrupted() or (late and state.step > begun)
             progress, stop = ranks.agree(_progress(config, state), stop)
-            if state.step >= limit or progress >= 1 or stop:
+            if progress >= 1 or stop:
                 break
             lr = config.lr * warmup_stable_decay(progress, warmup=config.warmup, decay=config.decay)
             losses.append(run.step(batch_of(state.step), lr))
@@ -212,8 +204,7 @@ def train(
             hour = state.cpu // _HOUR
             state.cpu = time.process_time() - cpu
             due = hourly is not None and state.cpu // _HOUR > hour
-            ended = state.step == config.steps or _progress(config, state) >= 1
-            validating = state.step % config.every == 0 or ended
+            validating = state.step % config.every == 0 or _progress(config, state) >= 1
             if not ranks.first:
                 losses.clear()
             elif validating or state.step % config.log == 0:
@@ -264,7 +255,7 @@ class _Run:
         self.average = copy.deepcopy(self.network) if config.ema else self.network
         self.parameters = list(self.network.parameters())
         # The compiled one shares the weights; their names in checkpoints stay plain.
-        self.forward: nn.Module | Callable[..., Any] = self.network
+        self.forward: Callable[..., Any] = self.network
         if config.compile:
             self.forward = torch.compile(self.network, dynamic=False)
         # Shares of a batch side by side on a CPU, one after the other elsewhere.
@@ -329,18 +320,11 @@ class _Run:
 
     def _work(self, part: Batch) -> tuple[Tensor, Gradients]:
         """Return the loss of a share of the batch, and its gradients."""
-        points, mass, U, smoothers = part
-        with autocast(self.device.type, self.config.precision):
-            F = self.forward(points, mass)
-        config, share = self.config, len(points) / self.config.batch
-        if smoothers:
-            errors = torch.stack(smoothed_residuals(F, mass, U, *smoothers)).mean(-1)
-            weights = errors.new_tensor([1 - config.beta, config.beta])
-        else:
-            errors = mode_residuals(F, mass, U).mean(-1)[None]
-            weights = errors.new_ones(1)
+        config, share = self.config, len(part.points) / self.config.batch
+        F, errors = predicted(self.forward, part, config)
+        weights = errors.new_tensor([1 - config.beta, config.beta] if len(errors) > 1 else [1.0])
         counted = (errors + _LEAST).log() if config.relative else errors  # of each sample
-        total = weights @ counted.mean(-1) + config.alpha * ortho_loss(F, mass)
+        total = weights @ counted.mean(-1) + config.alpha * ortho_loss(F, part.mass)
         loss = share * (weights @ counted.detach().mean(-1))
         return loss, torch.autograd.grad(self.scaler.scale(share * total), self.parameters)
 
