@@ -6,10 +6,11 @@ import os
 import numpy as np
 import pytest
 import trimesh
-from conftest import creature
+from conftest import creature, joined, moved
 from running import printed, record, refusal, write_shapes
 
-from spectra_kit.cli import geodesic, main
+from spectra_kit import show
+from spectra_kit.cli import main
 from spectra_kit.cli.geodesic import linear_solver, why_without_modes
 from spectra_kit.cli.program import parse
 from spectra_kit.eigen import eigensolve
@@ -33,10 +34,7 @@ def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("shapes")
     ball = write_shapes(folder)
     write(creature(1500), folder / "animal.ply")
-    pair = TriangleMesh(
-        np.vstack([ball.points, ball.points + [3, 0, 0]]),
-        np.vstack([ball.faces, ball.faces + ball.n]),
-    )
+    pair = joined(ball, moved(ball, 3, 0, 0))
     write(pair, folder / "pair.ply")
     unused = TriangleMesh(np.vstack([[[9, 9, 9]], ball.points]), ball.faces + 1)
     write(unused, folder / "unused.off")
@@ -268,7 +266,7 @@ def test_the_demo_draws_its_picture(tmp_path, monkeypatch, capsys):
         below.append(page.subtitle)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(geodesic, "plot_distance", interrupted)
+    monkeypatch.setattr(show, "plot_distance", interrupted)
     assert main(["geodesic", "demo", "--points", "500", "-o", "other"]) == 130
     out, err = capsys.readouterr()
     kept = "the numbers in other are whole, but not drawn: other/field.png"
