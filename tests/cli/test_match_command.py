@@ -157,7 +157,7 @@ def test_points_inside_triangles_are_written_as_a_sparse_matrix(files, tmp_path,
 
 def test_a_part_that_lacks_nothing_covers_all(files, tmp_path, capsys):
     pair, out = (files / "animal.off", files / "permuted.off"), tmp_path / "out"
-    found = report(capsys, *pair, "-k", 40, "--part", "-o", out)["match"]
+    found = report(capsys, *pair, "-k", 40, "--part", "--sides", "kept", "-o", out)["match"]
     assert set(os.listdir(out)) == FILES | {"covered.npy"}
     assert np.load(out / "covered.npy").all()
     np.testing.assert_array_equal(np.load(out / "point_map.npy"), np.load(files / "order.npy"))
@@ -255,8 +255,11 @@ def test_bad_input_is_refused_before_the_work(files, tmp_path, capsys, monkeypat
     not_two = "must hold lines of two integers"
     for text, message in {
         "# nothing\n": not_two,
+        "nose ear\n": not_two,
+        "1 2 # nose\n3\n": not_two,
         "1\n2\n": f"{not_two}, on the source and on the target, got '1' in line 1",
         f"1 {10**30}\n": not_two,
+        "1 1_0\n": not_two,
         "5 650\n": "are the columns exchanged?",
     }.items():
         (tmp_path / "pairs.txt").write_text(text)
