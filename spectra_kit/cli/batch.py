@@ -56,6 +56,7 @@ class BatchOptions(options.Operator, options.Solver, Workers):
     )
     keys = "inputs, computed, known, failed, replaced, renewed, seconds, store, csv"
     operands = "INPUT... --out STORE [options]"
+    needs = ("datasets.compute_all",)
 
     paths: tuple[str, ...] = field(kw_only=False)
     """files, folders, quoted patterns, or a manifest: a .csv with a column `file`, perhaps `name`,
@@ -86,6 +87,7 @@ class StoreOptions(options.Command):
     examples = ("store list store", "store verify store --remove", "store clean store")
     keys = "store, entries, bytes, shapes, damaged, removed"
     operands = "ACTION STORE [options]"
+    needs = ("datasets.SpectrumStore",)
 
     action: Literal["list", "verify", "clean"] = field(kw_only=False)
     """list names; verify that every file is whole; clean away what is of other releases"""

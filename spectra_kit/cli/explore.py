@@ -27,6 +27,7 @@ class ExploreOptions(options.OnOne, options.Predictor, options.Upright):
         f"explore {options.DEMO} -k 24 --solver none",
     )
     keys = "input, geometry, reference, predicted, comparison, verdict, explorer, url"
+    needs = ("eigen", "show")
 
     solver: options.OptionalName | None = None
     """what predicts, or none (default: neo)"""

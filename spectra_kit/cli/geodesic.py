@@ -92,6 +92,7 @@ class GeodesicOptions(options.OneFile, options.Spared, _Sources, _Heat, options.
         " largest_distance, mean_distance, points_not_reached, spectrum_unused, comparison,"
         " written"
     )
+    needs = ("geodesics", "show")
 
     k: options.Count | None = None
     """number of modes (default: 24 and those of eigenvalue 0; 96 with --compare)"""

@@ -33,6 +33,7 @@ class SimilarOptions(options.OneFile, options.Solver, options.Turned, options.Re
     )
     keys = "input, folder, indexed, left_out, neighbours, picture"
     operands = "FILE FOLDER [options]"
+    needs = ("learn",)
 
     folder: Path = field(kw_only=False)
     """meshes and point clouds to search"""
@@ -57,6 +58,7 @@ class LabelOptions(options.OneFile, options.Turned, options.Resolution):
     )
     keys = "input, labeller, label, name, scores, parts, output, picture"
     operands = "FILE LABELLER [options]"
+    needs = ("learn",)
 
     labeller: Path = field(kw_only=False)
     """what learn.save_labeller wrote"""

@@ -65,6 +65,7 @@ class MatchOptions(_Known, options.Operator, options.Solver, options.FolderDrawi
     )
     keys = "source, target, landmarks, match, written"
     operands = "SOURCE TARGET [options]"
+    needs = ("maps", "show")
 
     k: options.Count = 150
     solver: options.SolverName = "automatic"

@@ -42,6 +42,7 @@ class MatchAllOptions(_Kept, Workers):
         " seconds, store, csv"
     )
     operands = "STORE --pairs all|FILE [options]"
+    needs = ("datasets.match_all",)
 
     csv: Path | None = None
     """write a row for each pair to this .csv file: score, margin, doubts, key of the map

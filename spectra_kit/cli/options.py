@@ -68,6 +68,7 @@ class Command:
     examples: ClassVar[tuple[str, ...]]
     keys: ClassVar[str]  # of the object that --json prints
     operands: ClassVar[str] = "FILE [options]"
+    needs: ClassVar[tuple[str, ...]] = ("eigen",)  # of the library, imported before it begins
     group: ClassVar[str] = "general"  # of the options that a class adds, in the help
 
     json: Annotated[bool, Parameter(group=_GROUPS["general"])] = False

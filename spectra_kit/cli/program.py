@@ -51,6 +51,7 @@ class CompletionOptions(Command):
     )
     keys = "shell, script"
     operands = "SHELL"
+    needs = ()
 
     shell: Literal["bash", "zsh", "fish"] = field(kw_only=False)
     """which one runs it"""
