@@ -8,8 +8,10 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from operator import attrgetter
 from typing import Any, TextIO
 
+import spectra_kit as sk
 from spectra_kit._core.files import naming
 from spectra_kit._core.shown import printable
 from spectra_kit._core.version import VERSION
@@ -61,6 +63,8 @@ def main(argv: Sequence[str] | None = None, *, ready: Callable[[], object] = lam
             text = help_text(argv[0])
         else:
             asked, command = parse(argv)
+            for name in asked.needs:
+                attrgetter(name)(sk)
             ready()
             with telling(quiet=asked.quiet):
                 refuse_unused(asked)

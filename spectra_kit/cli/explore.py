@@ -2,41 +2,36 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import spectra_kit as sk
 from spectra_kit._core.validate import check_count, quantity
-from spectra_kit.cli import tables
+from spectra_kit.cli import options, tables
 from spectra_kit.cli.compare import check_pair, compared, name_of, named_record, reference_modes
 from spectra_kit.cli.inputs import prepare
-from spectra_kit.cli.options import (
-    DEMO,
-    OnOne,
-    OptionalName,
-    Output,
-    Predictor,
-    Upright,
-    refuse_given,
-)
 from spectra_kit.cli.output import check_output, tell
 from spectra_kit.cli.progress import counted, say
 from spectra_kit.cli.words import stem
-from spectra_kit.show import View
-from spectra_kit.show.explorer import Explorer, write_explorer
+
+if TYPE_CHECKING:
+    from spectra_kit.show.explorer import Explorer
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExploreOptions(OnOne, Predictor, Upright):
+class ExploreOptions(options.OnOne, options.Predictor, options.Upright):
     """Look at modes in the browser, exact and predicted side by side."""
 
     examples = (
         "explore bunny.obj -o bunny.html",
         "explore bunny.obj --serve",
-        f"explore {DEMO} -k 24 --solver none",
+        f"explore {options.DEMO} -k 24 --solver none",
     )
     keys = "input, geometry, reference, predicted, comparison, verdict, explorer, url"
+    needs = ("eigen", "show")
 
-    solver: OptionalName | None = None
+    solver: options.OptionalName | None = None
     """what predicts, or none (default: neo)"""
-    html: Output | None = None
+    html: options.Output | None = None
     """the page to write: one file that needs no network (default: the name of FILE with .html, in
     the current folder)"""
     serve: bool = False
@@ -51,9 +46,11 @@ class ExploreOptions(OnOne, Predictor, Upright):
 
 def explore(asked: ExploreOptions) -> None:
     """Write the page, or serve it until Ctrl-C."""
+    from spectra_kit.show.explorer import write_explorer
+
     page = asked.html or Path(Path(asked.file).stem + ".html")
     if not asked.serve:
-        refuse_given(asked, ["port", "no_browser"], "without --serve; add it")
+        options.refuse_given(asked, ["port", "no_browser"], "without --serve; add it")
     check_output(page, (".html", ".htm"), asked.inputs)
     check_count("--max-points", asked.max_points, low=4)
     check_count("--port", asked.port, low=0, high=65535)
@@ -73,8 +70,7 @@ def explore(asked: ExploreOptions) -> None:
     else:
         pair = compared(asked, laplacian, reference)
         record |= pair.record()
-        means = tables.comparison_line(pair.comparison)
-        blocks = [f"{means}\nverdict: {pair.verdict}", *pair.cautions]
+        blocks = [f"{pair.line()}\nverdict: {pair.verdict()}", *pair.cautions]
     with counted(f"writing {page}", "step") as progress:
         written = write_explorer(
             page,
@@ -85,7 +81,7 @@ def explore(asked: ExploreOptions) -> None:
             names=pair.names if pair else (name_of(reference), ""),
             title=stem(asked.file),  # the page itself counts the points
             max_points=asked.max_points,
-            view=View(asked.upwards),
+            view=sk.show.View(asked.upwards),
             progress=progress,
         )
 
@@ -102,15 +98,15 @@ def explore(asked: ExploreOptions) -> None:
         if served and not asked.json:
             say("Ctrl-C ends it")
 
-    if not asked.serve:
+    if asked.serve:
+        from spectra_kit.show.explorer.serve import serve
+
+        serve(page, port=asked.port, open_browser=not asked.no_browser, ready=told)
+    else:
         told()
-        return
-    from spectra_kit.show.explorer.serve import serve
-
-    serve(page, port=asked.port, open_browser=not asked.no_browser, ready=told)
 
 
-def _next(written: Explorer) -> str:
+def _next(written: "Explorer") -> str:
     """What the page holds, and what to do with it."""
     shown = f"all {quantity(written.n_shown, 'point')}"
     if written.decimated:

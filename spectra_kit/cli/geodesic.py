@@ -3,70 +3,46 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import numpy as np
 from cyclopts import Parameter
 
+import spectra_kit as sk
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, check_indices, check_positive, quantity
-from spectra_kit.cli import tables
+from spectra_kit.cli import options, solving, tables
 from spectra_kit.cli.geodesic_compare import (
-    Compared,
     clock_note,
     compare_solvers,
+    comparison_record,
     comparison_table,
     number_of_modes,
 )
 from spectra_kit.cli.inputs import Numbering, load
-from spectra_kit.cli.options import (
-    DEMO,
-    NETWORK,
-    Command,
-    Count,
-    FolderDrawing,
-    OneFile,
-    Output,
-    SolverName,
-    Spared,
-    refuse_given,
-)
-from spectra_kit.cli.output import as_json, check_folder, drawing, tell, together
+from spectra_kit.cli.output import REPORT, check_folder, tell_folder
 from spectra_kit.cli.progress import step
-from spectra_kit.cli.solving import check_solvers, refuse_solving, solve
 from spectra_kit.cli.words import stem
-from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geodesics import (
-    Direct,
-    DistanceField,
-    FacePoint,
-    HeatGeodesics,
-    Iterative,
-    WithinMemory,
-    nearest_source,
-)
-from spectra_kit.geodesics.distance import exact_field
-from spectra_kit.geodesics.sources import check_sources
-from spectra_kit.geometry import Geometry, TriangleMesh
-from spectra_kit.geometry.formats import ply
-from spectra_kit.operators import IntrinsicTriangulation, Laplacian, intrinsic_delaunay
-from spectra_kit.show import Page, View, plot_convergence, plot_distance
-from spectra_kit.show.colours import distance_colours
 
-_NUMBERS = ("distance.npy", "distance.ply", "report.json")
+if TYPE_CHECKING:
+    from spectra_kit.geodesics import Direct, DistanceField, FacePoint, Iterative, WithinMemory
+    from spectra_kit.geometry import Geometry
+
+    Source = int | FacePoint
+    Solver = WithinMemory | Direct | Iterative
+
+_NUMBERS = ("distance.npy", "distance.ply", REPORT)
 _PICTURES = ("field.png", "convergence.png")
 _COARSE: dict[str, Literal["additive", "projected", "none"]] = {
     "iterative": "additive",
     "projected": "projected",
     "plain": "none",
 }
-Source = int | FacePoint
-Solver = WithinMemory | Direct | Iterative
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Sources(Command, group="sources"):
+class _Sources(options.Command, group="sources"):
     """Where the distance is zero."""
 
     source: Annotated[tuple[int, ...], Parameter(consume_multiple=True, metavar="INDEX ...")] = ()
@@ -84,7 +60,7 @@ class _Sources(Command, group="sources"):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Heat(Command, group="method"):
+class _Heat(options.Command, group="method"):
     """How distances are computed."""
 
     method: Literal["auto", "direct", "iterative", "projected", "plain"] = "auto"
@@ -101,13 +77,13 @@ class _Heat(Command, group="method"):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GeodesicOptions(OneFile, Spared, _Sources, _Heat, FolderDrawing):
+class GeodesicOptions(options.OneFile, options.Spared, _Sources, _Heat, options.FolderDrawing):
     """Measure distances along a surface, and draw them with isolines."""
 
     examples = (
         "geodesic bunny.obj --source 7",
         "geodesic bunny.obj --at 0.1 0.2 0.0 --farthest 3 -o far",
-        f"geodesic {DEMO} --compare",
+        f"geodesic {options.DEMO} --compare",
     )
     keys = (
         "input, kind, points, faces, operator, operator area, operator components, zero modes,"
@@ -116,13 +92,14 @@ class GeodesicOptions(OneFile, Spared, _Sources, _Heat, FolderDrawing):
         " largest_distance, mean_distance, points_not_reached, spectrum_unused, comparison,"
         " written"
     )
+    needs = ("geodesics", "show")
 
-    k: Count | None = None
+    k: options.Count | None = None
     """number of modes (default: 24 and those of eigenvalue 0; 96 with --compare)"""
-    solver: SolverName | None = None
+    solver: options.SolverName | None = None
     """what solves for modes for the coarse space of the linear solver, which may do without
     (default: none)"""
-    output: Output = Path("geodesic")
+    output: options.Output = Path("geodesic")
     """folder for the distances, the report and the pictures"""
     compare: bool = False
     """also solve by every solver, and draw and print how each converges"""
@@ -132,7 +109,8 @@ class GeodesicOptions(OneFile, Spared, _Sources, _Heat, FolderDrawing):
 
 def geodesic_distances(asked: GeodesicOptions) -> None:
     """Measure distances, write them with a report and pictures into one folder."""
-    folder = asked.output
+    from spectra_kit.geodesics.distance import exact_field
+
     if check_positive("--poisson-rtol", asked.poisson_rtol) >= 1:
         raise InvalidInputError("--poisson-rtol", "be less than 1", asked.poisson_rtol)
     check_positive("--time-coefficient", asked.time_coefficient)
@@ -148,14 +126,14 @@ def geodesic_distances(asked: GeodesicOptions) -> None:
     check_solver(asked)
     farthest = check_named(asked)
     pictures = () if asked.no_pictures else _PICTURES if asked.compare else _PICTURES[:1]
-    check_folder(folder, _NUMBERS + pictures, _NUMBERS + _PICTURES, asked.inputs)
+    check_folder(asked.output, _NUMBERS + pictures, _NUMBERS + _PICTURES, asked.inputs)
 
     geometry, kept = load(asked.file, asked)
     sources = named_sources(asked, geometry, kept)
-    check_sources(sources or [0], geometry)
+    sk.geodesics.check_sources(sources or [0], geometry)
     with step(f"triangulating {geometry.n:,} points"):
-        triangulation = intrinsic_delaunay(geometry)
-    modes = number_of_modes(asked, triangulation.laplacian, usual=Iterative().modes)
+        triangulation = sk.intrinsic_delaunay(geometry)
+    modes = number_of_modes(asked, triangulation.laplacian, usual=sk.geodesics.Iterative().modes)
     solver = linear_solver(asked, modes)
     unused = why_without_modes(asked, solver, geometry.n)
     # Modes of a file cost nothing, and are checked.
@@ -163,7 +141,7 @@ def geodesic_distances(asked: GeodesicOptions) -> None:
     if asked.spectrum or not unused:
         spectrum = coarse_spectrum(asked, triangulation.laplacian, modes)
     with step("preparing the solver"):
-        geodesics = HeatGeodesics(
+        geodesics = sk.HeatGeodesics(
             triangulation,
             spectrum,
             solver=solver,
@@ -172,51 +150,91 @@ def geodesic_distances(asked: GeodesicOptions) -> None:
         )
         geodesics.geometry = geometry  # whose triangles it may doubt
 
-    def measure(some: list[Source]) -> DistanceField:
+    def measure(some: "list[Source]") -> "DistanceField":
         exact = exact_field(geometry, some) if may_be_exact(asked) else None
-        return geodesics.distance(check_sources(some, geometry)) if exact is None else exact
+        if exact is not None:
+            return exact
+        return geodesics.distance(sk.geodesics.check_sources(some, geometry))
 
     with step("looking for the farthest points"):
         sources = with_farthest(sources, farthest, lambda few: measure(few).distance)
-    checked = check_sources(sources, geometry)
+    checked = sk.geodesics.check_sources(sources, geometry)
     with step(f"measuring the distance to {quantity(len(sources), 'source')}"):
         field = measure(sources)
     compared = compare_solvers(asked, geometry, triangulation, checked) if asked.compare else []
-    in_file = [s if isinstance(s, FacePoint) else int(kept.first[s]) for s in sources]
+    in_file = [s if isinstance(s, sk.geodesics.FacePoint) else int(kept.first[s]) for s in sources]
     record = _record(asked, geometry, triangulation, in_file, spectrum, field)
     record["spectrum_unused"] = unused or None
+    runs = [run for run, _ in compared]
     if compared:
-        record["comparison"] = [one.record() for one in compared]
-    writing = together(folder, report=_NUMBERS[2], replacing=_PICTURES)
-    with step(f"writing {folder}"), writing as part:
-        np.save(part / _NUMBERS[0], kept.spread(field.distance, np.nan))
-        shades = distance_colours(field.distance).T
-        values = dict(zip(("red", "green", "blue"), shades, strict=True))
-        values["quality"] = field.distance  # as MeshLab calls it
-        ply.write(geometry, part / _NUMBERS[1], values)
-        (part / _NUMBERS[2]).write_text(as_json(record))
-    if pictures:
-        paths = [folder / name for name in pictures]
-        with drawing(paths, kept=f"the numbers in {folder} are whole"):
-            _draw(asked, geometry, sources, field, compared)
-    written = [str(folder / name) for name in _NUMBERS + pictures]
-    tell(
+        record["comparison"] = [comparison_record(*one) for one in compared]
+
+    tell_folder(
         asked,
-        {**record, "written": written},
+        asked.output,
+        record,
         tables.headline(asked.file, geometry, triangulation.laplacian),
         tables.pairs(_facts(record)),
-        *([comparison_table(compared)] if compared else []),
-        "\n".join(f"written: {path}" for path in written),
+        *([comparison_table(record["comparison"])] if compared else []),
+        files=_NUMBERS,
+        pictures=pictures,
+        replacing=_PICTURES,
+        write=lambda folder: _write(folder, geometry, field, kept),
+        draw=lambda folder: _draw(asked, folder, geometry, sources, field, runs),
     )
+
+
+def _write(folder: Path, geometry: "Geometry", field: "DistanceField", kept: Numbering) -> None:
+    from spectra_kit.geometry.formats import ply
+    from spectra_kit.show.colours import distance_colours
+
+    np.save(folder / _NUMBERS[0], kept.spread(field.distance, np.nan))
+    shades = distance_colours(field.distance).T
+    values = dict(zip(("red", "green", "blue"), shades, strict=True))
+    values["quality"] = field.distance  # as MeshLab calls it
+    ply.write(geometry, folder / _NUMBERS[1], values)
+
+
+def _draw(
+    asked: GeodesicOptions,
+    folder: Path,
+    geometry: "Geometry",
+    sources: "list[Source]",
+    field: "DistanceField",
+    runs: "list[sk.show.SolverRun]",
+) -> None:
+    name, size = stem(asked.file), f"{geometry.n:,} points"
+    method = "heat method" if field.heat else "exact distances"
+    mesh = cast("sk.TriangleMesh", geometry)  # where there are points of faces
+    faces = sk.geodesics.FacePoint
+    places = [s.position(mesh) if isinstance(s, faces) else mesh.points[s] for s in sources]
+    sk.show.plot_distance(
+        geometry,
+        field.distance,
+        path=folder / _PICTURES[0],
+        sources=np.array(places),
+        spacing=asked.spacing,
+        view=asked.view,
+        page=sk.show.Page(name, f"{size} \N{MIDDLE DOT} {method}", asked.dpi),
+    )
+    if runs:
+        heading = f"{name}: the Poisson step of the heat method, {size}"
+        sk.show.plot_convergence(
+            runs,
+            path=folder / _PICTURES[1],
+            rtol=asked.poisson_rtol,
+            solve_name="Poisson step",
+            page=sk.show.Page(heading, clock_note(), asked.dpi),
+        )
 
 
 def _record(
     asked: GeodesicOptions,
-    geometry: Geometry,
-    triangulation: IntrinsicTriangulation,
-    sources: list[Source],
-    spectrum: Spectrum | None,
-    field: DistanceField,
+    geometry: "Geometry",
+    triangulation: "sk.operators.IntrinsicTriangulation",
+    sources: "list[Source]",
+    spectrum: "sk.Spectrum | None",
+    field: "DistanceField",
 ) -> tables.Record:
     """What the report says."""
     reached = field.distance[field.reached]
@@ -225,7 +243,9 @@ def _record(
         **tables.geometry_record(geometry),
         **tables.operator_record(triangulation.laplacian),
         "heat_boundary": asked.heat_boundary,
-        "sources": [vars(s) if isinstance(s, FacePoint) else {"point": s} for s in sources],
+        "sources": [
+            vars(s) if isinstance(s, sk.geodesics.FacePoint) else {"point": s} for s in sources
+        ],
         "method": asked.method,
         "choice": field.choice,
         "time_coefficient": asked.time_coefficient,
@@ -254,57 +274,20 @@ def _record(
 
 def _facts(record: tables.Record) -> dict[str, object]:
     """What the terminal shows of it."""
-    modes, unused = record["spectrum"], record["spectrum_unused"]
-    return {
-        "sources": len(record["sources"]),
-        "solver": record["choice"],
-        **(_system(record) if record["heat"] else {}),
-        "seconds": tables.seconds(record["seconds"]),
-        **({"seconds of the spectrum": f"{modes['seconds']:.2f}"} if modes else {}),
-        **({"spectrum": unused} if unused else {}),
-        "largest distance": record["largest_distance"],
-        "mean distance": record["mean_distance"],
-        "points not reached": f"{record['points_not_reached']:,}",
-    }
-
-
-def _system(record: tables.Record) -> dict[str, object]:
-    return {
-        "time step": record["time_step"],
-        "iterations": record["iterations"],
-        "relative residual": f"{record['relative_residual']:.1e}",
-    }
-
-
-def _draw(
-    asked: GeodesicOptions,
-    geometry: Geometry,
-    sources: list[Source],
-    field: DistanceField,
-    compared: list[Compared],
-) -> None:
-    folder, name, size = asked.output, stem(asked.file), f"{geometry.n:,} points"
-    method = "heat method" if field.heat else "exact distances"
-    mesh = cast(TriangleMesh, geometry)  # where there are points of faces
-    places = [s.position(mesh) if isinstance(s, FacePoint) else mesh.points[s] for s in sources]
-    plot_distance(
-        geometry,
-        field.distance,
-        path=folder / _PICTURES[0],
-        sources=np.array(places),
-        spacing=asked.spacing,
-        view=View(asked.upwards, asked.turn),
-        page=Page(name, f"{size} \N{MIDDLE DOT} {method}", asked.dpi),
-    )
-    if compared:
-        heading = f"{name}: the Poisson step of the heat method, {size}"
-        plot_convergence(
-            [one.run for one in compared],
-            path=folder / _PICTURES[1],
-            rtol=asked.poisson_rtol,
-            solve_name="Poisson step",
-            page=Page(heading, clock_note(), asked.dpi),
-        )
+    facts = {"sources": len(record["sources"]), "solver": record["choice"]}
+    if record["heat"]:
+        facts["time step"] = record["time_step"]
+        facts["iterations"] = record["iterations"]
+        facts["relative residual"] = f"{record['relative_residual']:.1e}"
+    facts["seconds"] = tables.seconds(record["seconds"])
+    if record["spectrum"]:
+        facts["seconds of the spectrum"] = f"{record['spectrum']['seconds']:.2f}"
+    if record["spectrum_unused"]:
+        facts["spectrum"] = record["spectrum_unused"]
+    facts["largest distance"] = record["largest_distance"]
+    facts["mean distance"] = record["mean_distance"]
+    facts["points not reached"] = f"{record['points_not_reached']:,}"
+    return facts
 
 
 def check_solver(asked: GeodesicOptions) -> None:
@@ -312,14 +295,16 @@ def check_solver(asked: GeodesicOptions) -> None:
     if asked.k is not None:
         check_count("-k", asked.k, low=1)
     if asked.spectrum:
-        refuse_solving(asked)
+        solving.refuse_solving(asked)
     elif asked.solver:
-        check_solvers(asked, asked.solver)
+        solving.check_solvers(asked, asked.solver)
     elif not asked.compare:
         why = "without modes; choose what solves for them by --solver"
-        refuse_given(asked, ("k", "rtol", "start", *NETWORK), why)
+        options.refuse_given(asked, ("k", "rtol", "start", *options.NETWORK), why)
     if asked.method == "direct" and not asked.compare:
-        refuse_given(asked, ["poisson_rtol"], "on a direct solver; choose another by --method")
+        options.refuse_given(
+            asked, ["poisson_rtol"], "on a direct solver; choose another by --method"
+        )
     with_modes = bool(asked.spectrum or asked.solver)
     if asked.method == "projected" and not with_modes:
         raise InvalidInputError(
@@ -338,39 +323,42 @@ def may_be_exact(asked: GeodesicOptions) -> bool:
     return asked.method == "auto" and asked.time_coefficient == 1 and not heat
 
 
-def linear_solver(asked: GeodesicOptions, modes: int) -> Solver:
+def linear_solver(asked: GeodesicOptions, modes: int) -> "Solver":
     """Return the solver that ``--method`` names, with so many modes at most."""
     rtol = asked.poisson_rtol
     if asked.method == "auto":
-        return WithinMemory(modes=modes, rtol=rtol)
+        return sk.geodesics.WithinMemory(modes=modes, rtol=rtol)
     if asked.method == "direct":
-        return Direct()
-    return Iterative(coarse=_COARSE[asked.method], modes=modes, rtol=rtol)
+        return sk.geodesics.Direct()
+    return sk.geodesics.Iterative(coarse=_COARSE[asked.method], modes=modes, rtol=rtol)
 
 
-def why_without_modes(asked: GeodesicOptions, solver: Solver, n: int) -> str:
+def why_without_modes(asked: GeodesicOptions, solver: "Solver", n: int) -> str:
     """Return why a solver that may choose on n points leaves the modes alone; "" if it does not."""
-    if not (asked.solver or asked.spectrum) or not isinstance(solver, WithinMemory):
+    if not (asked.solver or asked.spectrum) or not isinstance(solver, sk.geodesics.WithinMemory):
         return ""
     chosen, reason = solver.choose(n)
-    return f"not needed by the direct solver: {reason}" if isinstance(chosen, Direct) else ""
+    direct = isinstance(chosen, sk.geodesics.Direct)
+    return f"not needed by the direct solver: {reason}" if direct else ""
 
 
-def coarse_spectrum(asked: GeodesicOptions, laplacian: Laplacian, modes: int) -> Spectrum | None:
+def coarse_spectrum(
+    asked: GeodesicOptions, laplacian: "sk.Laplacian", modes: int
+) -> "sk.Spectrum | None":
     """Return the modes that were asked for, with those of eigenvalue 0; None if none were."""
     if asked.spectrum:
-        spectrum = Spectrum.load(asked.spectrum)
+        spectrum = sk.Spectrum.load(asked.spectrum)
         return spectrum if asked.k is None else spectrum.truncate(min(asked.k, spectrum.k))
     if not asked.solver:
         return None
     k = min(modes + laplacian.kernel_dimension, laplacian.n)
-    return solve(laplacian, k, asked.solver, asked)
+    return solving.solve(laplacian, k, asked.solver, asked)
 
 
 def check_named(asked: GeodesicOptions) -> int:
     """Refuse what needs no geometry to be seen wrong; return how many farthest points to add."""
     check_count("--farthest", asked.farthest, low=0)
-    if asked.file != DEMO:
+    if asked.file != options.DEMO:
         if not (asked.source or asked.at or asked.face or asked.farthest):
             raise InvalidInputError(
                 "distances need at least one source",
@@ -389,7 +377,7 @@ def check_named(asked: GeodesicOptions) -> int:
     return asked.farthest or int(not (asked.source or asked.at or asked.face))
 
 
-def named_sources(asked: GeodesicOptions, geometry: Geometry, kept: Numbering) -> list[Source]:
+def named_sources(asked: GeodesicOptions, geometry: "Geometry", kept: Numbering) -> "list[Source]":
     """Return the points that --source, --at and --face name.
 
     `kept` knows the points of the file, where some were left out.
@@ -406,13 +394,13 @@ def named_sources(asked: GeodesicOptions, geometry: Geometry, kept: Numbering) -
             advice="name others, or places by --at",
         )
     found: list[Source] = points.tolist()
-    found += [nearest_source(geometry, place) for place in asked.at]
-    return found + [FacePoint(int(face), (a, b, c)) for face, a, b, c in asked.face]
+    found += [sk.geodesics.nearest_source(geometry, place) for place in asked.at]
+    return found + [sk.geodesics.FacePoint(int(face), (a, b, c)) for face, a, b, c in asked.face]
 
 
 def with_farthest(
-    sources: list[Source], count: int, distance: Callable[[list[Source]], Floats]
-) -> list[Source]:
+    sources: "list[Source]", count: int, distance: Callable[["list[Source]"], Floats]
+) -> "list[Source]":
     """Add `count` points, each the farthest from all before it; in a part not reached, its first.
 
     Without sources the first is the farthest from point 0, which is none itself.

@@ -4,25 +4,24 @@ import dataclasses
 from contextlib import nullcontext
 from dataclasses import dataclass
 
+import spectra_kit as sk
 from spectra_kit._core.warn import hearing
-from spectra_kit.cli import tables
+from spectra_kit.cli import options, tables
 from spectra_kit.cli.inputs import assemble, load
-from spectra_kit.cli.options import OnOne, OperatorName
 from spectra_kit.cli.output import tell
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.words import told
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import diagnose
 
 
 @dataclass(frozen=True, kw_only=True)
-class InfoOptions(OnOne):
+class InfoOptions(options.OnOne):
     """Say what a file holds, what is wrong with it and what can be made of it."""
 
     examples = ("info bunny.obj", "info scan.ply --repair", "info bunny.obj --json")
     keys = "input, kind, diagnosis, problems, operator"
 
-    operator: OperatorName | None = "delaunay"
+    operator: options.OperatorName | None = "delaunay"
     """Laplacian; delaunay is robust on meshes, too, with less memory"""
 
 
@@ -30,7 +29,7 @@ def info(asked: InfoOptions) -> None:
     """Say what a file holds, what is wrong with it, and what the operator makes of it."""
     geometry, _ = load(asked.file, asked)
     with step("looking at it"):
-        diagnosis = diagnose(geometry)
+        diagnosis = sk.geometry.diagnose(geometry)
     try:
         is_cut = diagnosis.seam_edges or diagnosis.hanging_vertices  # which the diagnosis tells
         told_of = hearing() if is_cut else nullcontext()

@@ -2,62 +2,29 @@
 
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import sparse
-from scipy.spatial import cKDTree
 
+import spectra_kit as sk
 from spectra_kit._core.types import Ints
 from spectra_kit._core.validate import check_indices
-from spectra_kit.cli import tables
-from spectra_kit.cli.inputs import Numbering, assemble, load
-from spectra_kit.cli.options import (
-    DEMO,
-    Count,
-    FolderDrawing,
-    GeometryFile,
-    Operator,
-    Output,
-    Reading,
-    Sides,
-    Solver,
-    SolverName,
-    refuse_given,
-)
-from spectra_kit.cli.output import as_json, check_folder, drawing, tell, together
+from spectra_kit.cli import options, solving, tables
+from spectra_kit.cli.inputs import Numbering, assemble, load, of_file
+from spectra_kit.cli.output import REPORT, check_folder, tell_folder
 from spectra_kit.cli.progress import step
-from spectra_kit.cli.solving import check_solvers, solve
 from spectra_kit.cli.words import stem
-from spectra_kit.eigen import Spectrum
-from spectra_kit.errors import InvalidFileError, InvalidInputError
-from spectra_kit.geometry import Geometry, TriangleMesh, creature_pair, write
-from spectra_kit.geometry.formats.numpy_arrays import read_npy
-from spectra_kit.geometry.formats.xyz import read_integers
-from spectra_kit.maps import (
-    MapErrors,
-    Match,
-    Prepared,
-    Truth,
-    auc,
-    bijectivity_errors,
-    coverage,
-    dirichlet_energy,
-    inverse_map,
-    map_errors,
-    match,
-    match_part,
-    orientation,
-    prepare,
-)
-from spectra_kit.maps.prepare import LOWEST_K
-from spectra_kit.maps.result import Doubt
-from spectra_kit.operators import Laplacian
-from spectra_kit.operators.oriented import oriented_triangles
-from spectra_kit.show import Page, View, plot_correspondence, plot_error_curves, plot_functional_map
+from spectra_kit.errors import InvalidInputError
 
-_MAPS = ("point_map.npy", "functional_map.npy", "report.json")
+if TYPE_CHECKING:
+    from scipy import sparse
+
+    from spectra_kit.geometry import Geometry
+    from spectra_kit.maps import MapErrors
+
+_MAPS = ("point_map.npy", "functional_map.npy", REPORT)
 _COVERED, _PRECISE = "covered.npy", "precise_map.npz"
 _SIDES = ("source.npz", "target.npz")
 _LINES = "hold lines of two integers, on the source and on the target"
@@ -65,11 +32,11 @@ _PICTURES = ("correspondence.png", "functional_map.png", "errors.png")
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Known(Sides, Reading, group="input"):
+class _Known(options.Sides, options.Reading, group="input"):
     """The two geometries, and what is known of the map."""
 
-    source: GeometryFile = field(kw_only=False)
-    target: GeometryFile = field(kw_only=False)
+    source: options.GeometryFile = field(kw_only=False)
+    target: options.GeometryFile = field(kw_only=False)
     part: bool = False
     """SOURCE is a part, such as a scan that lacks a limb, and TARGET a whole: find which points of
     the whole have a partner on the part, too (covered.npy)"""
@@ -88,20 +55,21 @@ class _Known(Sides, Reading, group="input"):
 
 
 @dataclass(frozen=True, kw_only=True)
-class MatchOptions(_Known, Operator, Solver, FolderDrawing):
+class MatchOptions(_Known, options.Operator, options.Solver, options.FolderDrawing):
     """Find the source point that each target point is, and judge the map."""
 
     examples = (
         "match cat.off lion.off -o maps",
         "match scan.ply body.off --part -o parts",
-        f"match {DEMO} {DEMO} --points 2000",
+        f"match {options.DEMO} {options.DEMO} --points 2000",
     )
     keys = "source, target, landmarks, match, written"
     operands = "SOURCE TARGET [options]"
+    needs = ("maps", "show")
 
-    k: Count = 150
-    solver: SolverName = "automatic"
-    output: Output = Path("match")
+    k: options.Count = 150
+    solver: options.SolverName = "automatic"
+    output: options.Output = Path("match")
     """folder for the maps, the report and the pictures"""
     precise: bool = False
     """also find where on the triangles of SOURCE each target point lies: its barycentric
@@ -110,9 +78,13 @@ class MatchOptions(_Known, Operator, Solver, FolderDrawing):
 
 def match_shapes(asked: MatchOptions) -> None:
     """Match, judge the map, write maps, report and pictures into one folder."""
-    folder = asked.output
+    from scipy.sparse import save_npz
+    from scipy.spatial import cKDTree
+
+    from spectra_kit.maps.prepare import LOWEST_K
+
     # The demo is one animal in two poses, whose true map is known.
-    is_demo = asked.source == asked.target == DEMO and asked.cloud is None
+    is_demo = asked.source == asked.target == options.DEMO and asked.cloud is None
     sampled = asked.cloud is not None
     if sampled and (asked.landmarks or asked.truth or asked.initial):
         raise InvalidInputError(
@@ -121,41 +93,41 @@ def match_shapes(asked: MatchOptions) -> None:
             advice="sample first, and match what came out",
         )
     if asked.part:
-        refuse_given(
+        options.refuse_given(
             asked, ["landmarks", "precise", "initial", "aligned"], "with --part; match wholes"
         )
     if asked.aligned:
-        refuse_given(asked, ["initial"], "with --aligned; give one of them")
+        options.refuse_given(asked, ["initial"], "with --aligned; give one of them")
     if asked.k < LOWEST_K:
         raise InvalidInputError(
             "-k", f"be at least {LOWEST_K}", asked.k, advice="solve for more (150 match best)"
         )
-    check_solvers(asked, asked.solver)
+    solving.check_solvers(asked, asked.solver)
     # Where the maps number other points than those of files that exist, these are written too.
-    sides = _SIDES if sampled or DEMO in (asked.source, asked.target) else ()
+    sides = _SIDES if sampled or options.DEMO in (asked.source, asked.target) else ()
     drawn = _PICTURES if asked.truth or is_demo else _PICTURES[:2]
     pictures = () if asked.no_pictures else drawn
     more = (_COVERED,) * asked.part + (_PRECISE,) * asked.precise
-    files = (*_MAPS, *more, *sides, *pictures)
+    files = (*_MAPS, *more, *sides)
     known = (*_MAPS, _COVERED, _PRECISE, *_SIDES, *_PICTURES)
-    check_folder(folder, files, known, asked.inputs)
+    check_folder(asked.output, (*files, *pictures), known, asked.inputs)
 
     truth = landmarks = initial = None
     one: Geometry
     other: Geometry
     if is_demo:
         fewer = max(9 * asked.points // 10, 500)
-        one, other, truth = creature_pair(asked.points, fewer, seed=asked.seed)
-        there = Numbering(None, one.n), Numbering(None, other.n)
+        one, other, truth = sk.geometry.creature_pair(asked.points, fewer, seed=asked.seed)
+        there = tuple(Numbering(np.arange(n), n) for n in (one.n, other.n))
     else:
         one, first = load(asked.source, asked, pose=1)
         other, second = load(asked.target, asked, pose=2)
         there = first, second
     _check_triangles(asked, one, other)
     if asked.truth:
-        truth = _read_map(asked.truth, "--truth", there)
+        truth = _read_map(asked.truth, "--truth", *there)
     if asked.initial:
-        initial = _read_map(asked.initial, "--initial", there)
+        initial = _read_map(asked.initial, "--initial", *there)
     elif asked.aligned:
         initial = cKDTree(one.points).query(other.points)[1]
     if asked.landmarks:
@@ -174,7 +146,7 @@ def match_shapes(asked: MatchOptions) -> None:
                 "mean_error": float(errors.direct.mean()),
                 "median_error": float(np.median(errors.direct)),
                 "share_of_errors_below_5": float((errors.direct <= 5).mean()),
-                "auc_to_10": auc(errors.direct),
+                "auc_to_10": sk.maps.auc(errors.direct),
             }
     record = {
         "source": source.record(),
@@ -182,39 +154,41 @@ def match_shapes(asked: MatchOptions) -> None:
         "landmarks": 0 if landmarks is None else len(landmarks[0]),
         "match": quality,
     }
-    writing = together(folder, report=_MAPS[2], replacing=_PICTURES)
-    with step(f"writing {folder}"), writing as part:
-        np.save(part / _MAPS[0], there[1].spread(there[0].first[found.point_map], -1))
-        np.save(part / _MAPS[1], found.functional_map)
+
+    def write(folder: Path) -> None:
+        np.save(folder / _MAPS[0], there[1].spread(there[0].first[found.point_map], -1))
+        np.save(folder / _MAPS[1], found.functional_map)
         if found.covered is not None:
-            np.save(part / _COVERED, there[1].spread(found.covered, False))
+            np.save(folder / _COVERED, there[1].spread(found.covered, False))
         if found.precise is not None:
-            sparse.save_npz(part / _PRECISE, _in_files(found.precise, *there))
-        (part / _MAPS[2]).write_text(as_json(record))
+            save_npz(folder / _PRECISE, _in_files(found.precise, *there))
         for name, side in zip(sides, (source, target), strict=False):
-            write(side.geometry, part / name)
-    paths = [folder / name for name in pictures]
-    if paths:
-        with drawing(paths, kept=f"the numbers in {folder} are whole"):
-            _draw(asked, paths, source, target, found, errors, label)
-    written = [str(folder / name) for name in files]
-    tell(
+            sk.write(side.geometry, folder / name)
+
+    tell_folder(
         asked,
-        {**record, "written": written},
+        asked.output,
+        record,
         *(tables.headline(side.name, side.geometry, side.laplacian) for side in (source, target)),
         f"the map: the point of {source.name} that each{' covered' * asked.part} point of"
         f" {target.name} is",
         tables.pairs({name.replace("_", " "): _told(value) for name, value in quality.items()}),
-        "\n".join(f"written: {path}" for path in written),
+        files=files,
+        pictures=pictures,
+        replacing=_PICTURES,
+        write=write,
+        draw=lambda folder: _draw(asked, folder, source, target, found, errors, label),
     )
 
 
-def _in_files(precise: sparse.csr_array, source: Numbering, target: Numbering) -> sparse.csr_array:
+def _in_files(
+    precise: "sparse.csr_array", source: Numbering, target: Numbering
+) -> "sparse.csr_array":
     """Return a precise map between the points of the files; rows are empty where there is none."""
     rows = precise[target.number(np.arange(target.n))].tocoo()
     there = target.number(np.arange(target.n))[rows.row] >= 0
     at = rows.row[there], source.first[rows.col[there]]
-    return sparse.csr_array((rows.data[there], at), shape=(target.n, source.n))
+    return type(precise)((rows.data[there], at), shape=(target.n, source.n))
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,9 +196,9 @@ class Side:
     """One of two shapes, with its operator and its spectrum."""
 
     name: str
-    geometry: Geometry
-    laplacian: Laplacian
-    spectrum: Spectrum
+    geometry: "Geometry"
+    laplacian: "sk.Laplacian"
+    spectrum: "sk.Spectrum"
 
     def record(self) -> tables.Record:
         """Everything but the modes."""
@@ -239,15 +213,15 @@ class Side:
         }
 
 
-def _solve(asked: MatchOptions, name: str, geometry: Geometry) -> Side:
+def _solve(asked: MatchOptions, name: str, geometry: "Geometry") -> Side:
     with step(f"{name}: assembling the Laplacian of {geometry.n:,} points"):
         laplacian = assemble(asked, geometry)
-    return Side(name, geometry, laplacian, solve(laplacian, asked.k, asked.solver, asked))
+    return Side(name, geometry, laplacian, solving.solve(laplacian, asked.k, asked.solver, asked))
 
 
-def _check_triangles(asked: MatchOptions, source: Geometry, target: Geometry) -> None:
+def _check_triangles(asked: MatchOptions, source: "Geometry", target: "Geometry") -> None:
     """Refuse clouds where triangles are asked for."""
-    clouds = [not isinstance(side, TriangleMesh) for side in (source, target)]
+    clouds = [not isinstance(side, sk.TriangleMesh) for side in (source, target)]
     if asked.part and any(clouds):
         raise InvalidInputError("--part", "match a mesh to a mesh", "a point cloud")
     if asked.precise and clouds[0]:
@@ -265,16 +239,16 @@ def _matched(
     target: Side,
     landmarks: tuple[Ints, Ints] | None,
     initial: Ints | None,
-) -> tuple[Match, tables.Record]:
+) -> tuple["sk.Match", tables.Record]:
     """The maps, and what the match says of itself."""
     start = time.perf_counter()
     first, second = (_prepared(side) for side in (source, target))
     middle = time.perf_counter()
     mirrored, k = asked.mirrored, source.spectrum.k
     if asked.part:
-        found = match_part(first, second, mirrored=mirrored, k=k)
+        found = sk.maps.match_part(first, second, mirrored=mirrored, k=k)
     else:
-        found = match(
+        found = sk.match(
             *(first, second),
             landmarks=landmarks,
             initial=initial,
@@ -303,73 +277,66 @@ def _matched(
     }
 
 
-def _prepared(side: Side) -> Prepared:
-    try:
-        return prepare(side.spectrum, side.geometry)
-    except InvalidInputError as error:
-        raise InvalidFileError(side.name, error) from error
+def _prepared(side: Side) -> "sk.Prepared":
+    with of_file(side.name):
+        return sk.prepare(side.spectrum, side.geometry)
 
 
 def _read_landmarks(path: Path, source: Numbering, target: Numbering) -> tuple[Ints, Ints]:
     """Two columns of numbers: on the source, on the target."""
-    try:
-        rows = read_integers(path, 2)
-    except ValueError as error:
-        problem = InvalidInputError("--landmarks", _LINES, str(error))
-        raise InvalidFileError(path, problem) from error
-    if not rows:
-        raise InvalidFileError(path, InvalidInputError("--landmarks", _LINES, "none"))
-    sources, targets = zip(*rows, strict=True)
-    try:
-        found = (
-            source.number(check_indices("source landmarks", sources, source.n)),
-            target.number(check_indices("target landmarks", targets, target.n)),
-        )
-    except InvalidInputError as error:
-        problem = InvalidInputError(
-            error.argument, error.expected, error.got, advice="are the columns exchanged?"
-        )
-        raise InvalidFileError(path, problem) from error
-    lost = np.minimum(*found) < 0
-    if lost.any():
-        named = f"{rows[int(np.argmax(lost))]}, of which one was left out"
-        raise InvalidFileError(
-            path, InvalidInputError("--landmarks", "name points that are matched", named)
-        )
+    from spectra_kit.geometry.formats.xyz import read_integers
+
+    with of_file(path):
+        try:
+            rows = read_integers(path, 2)
+        except ValueError as error:
+            raise InvalidInputError("--landmarks", _LINES, str(error)) from error
+        if not rows:
+            raise InvalidInputError("--landmarks", _LINES, "none")
+        sources, targets = zip(*rows, strict=True)
+        try:
+            found = (
+                source.number(check_indices("source landmarks", sources, source.n)),
+                target.number(check_indices("target landmarks", targets, target.n)),
+            )
+        except InvalidInputError as error:
+            raise InvalidInputError(
+                error.argument, error.expected, error.got, advice="are the columns exchanged?"
+            ) from error
+        lost = np.minimum(*found) < 0
+        if lost.any():
+            named = f"{rows[int(np.argmax(lost))]}, of which one was left out"
+            raise InvalidInputError("--landmarks", "name points that are matched", named)
     return found
 
 
-def _read_map(path: Path, option: str, there: tuple[Numbering, Numbering]) -> Ints:
+def _read_map(path: Path, option: str, source: Numbering, target: Numbering) -> Ints:
     """The source point of each target point; -1 where the truth is not known, or left out."""
-    source, target = there
-    try:
-        read = np.asarray(read_npy(path)[0])
-    except InvalidInputError as error:
-        raise InvalidFileError(path, error) from error
+    from spectra_kit.geometry.formats.numpy_arrays import read_npy
+
     truth = option == "--truth"
-    fits = read.dtype.kind in "iu" and read.shape == (target.n,)
-    if not fits or read.max() < 0 or read.max() >= source.n or (read.min() < 0 and not truth):
-        problem = InvalidInputError(
-            option,
-            f"hold {target.n} integers below {source.n}, the source point of each target point"
-            + (", some of them known" if truth else ""),
-            f"{read.dtype} of shape {read.shape}",
-            advice="are source and target exchanged?",
-        )
-        raise InvalidFileError(path, problem)
-    found = source.number(np.asarray(read, dtype=np.int64)[target.first])
-    if not truth and (lost := found < 0).any():
-        named = f"{lost.sum()} that were left out"
-        raise InvalidFileError(
-            path, InvalidInputError(option, "lead to points that are kept", named)
-        )
+    with of_file(path):
+        read = np.asarray(read_npy(path)[0])
+        fits = read.dtype.kind in "iu" and read.shape == (target.n,)
+        if not fits or read.max() < 0 or read.max() >= source.n or (read.min() < 0 and not truth):
+            raise InvalidInputError(
+                option,
+                f"hold {target.n} integers below {source.n}, the source point of each target point"
+                + (", some of them known" if truth else ""),
+                f"{read.dtype} of shape {read.shape}",
+                advice="are source and target exchanged?",
+            )
+        found = source.number(np.asarray(read, dtype=np.int64)[target.first])
+        if not truth and (lost := found < 0).any():
+            named = f"{lost.sum()} that were left out"
+            raise InvalidInputError(option, "lead to points that are kept", named)
     return found
 
 
-def doubts_of(found: Match) -> str:
+def doubts_of(found: "sk.Match") -> str:
     """Say what speaks against a match; nothing if nothing does."""
     other = "does not mirror" if found.mirrored else "mirrors"
-    told: dict[Doubt, str] = {
+    told = {
         "margin": "another map scores as well",
         "mirror_margin": f"one that {other} scores better",
         "alike": "the surfaces are so round that others look as good",
@@ -385,38 +352,42 @@ def doubts_of(found: Match) -> str:
     return ", ".join(told[name] for name in found.doubts)
 
 
-def errors_of(source: Side, point_map: Ints, truth: Ints) -> tuple[MapErrors, str]:
+def errors_of(source: Side, point_map: Ints, truth: Ints) -> tuple["MapErrors", str]:
     """Measure a point map (n2,) against the true one, which is negative where it is not known.
 
     What the errors are is returned too.
     """
     known = np.flatnonzero(truth >= 0)
-    if isinstance(source.geometry, TriangleMesh):
-        errors = map_errors(source.geometry, point_map, Truth(truth[known], known))
+    if isinstance(source.geometry, sk.TriangleMesh):
+        errors = sk.maps.map_errors(source.geometry, point_map, sk.maps.Truth(truth[known], known))
         return errors, "geodesic error, 100 / √area"
     points = source.geometry.points
     straight = np.linalg.norm(points[point_map[known]] - points[truth[known]], axis=1)
     scaled = 100 * straight / np.sqrt(source.laplacian.area)
-    return MapErrors(scaled, known), "straight-line error, 100 / √area"
+    return sk.maps.MapErrors(scaled, known), "straight-line error, 100 / √area"
 
 
-def quality_of(source: Side, target: Side, found: Match) -> tables.Record:
+def quality_of(source: Side, target: Side, found: "sk.Match") -> tables.Record:
     """Judge a point map by itself, where it is covered; None stands for what cannot be measured.
 
     What takes two wholes is not measured of a part.
     """
+    from spectra_kit.operators.oriented import oriented_triangles
+
     shape, point_map, covered = source.geometry, found.point_map, found.covered
     there = np.ones(len(point_map), dtype=bool) if covered is None else covered
     turned = energy = missed = None
     with suppress(InvalidInputError):  # a surface without a consistent winding has no orientation
         a, b = (oriented_triangles(side.geometry) for side in (source, target))
         faces = b.faces[there[b.faces].all(axis=1)]
-        turned = orientation(shape.points, a.faces, faces, point_map)
+        turned = sk.maps.orientation(shape.points, a.faces, faces, point_map)
     if covered is None:
-        energy = dirichlet_energy(source.laplacian, target.laplacian, point_map)
-        if isinstance(shape, TriangleMesh):  # from a source point to where the map takes its image
-            back = inverse_map(source.spectrum, target.spectrum, point_map)
-            missed = float(bijectivity_errors(shape, point_map, back).mean())
+        energy = sk.maps.dirichlet_energy(source.laplacian, target.laplacian, point_map)
+        if isinstance(
+            shape, sk.TriangleMesh
+        ):  # from a source point to where the map takes its image
+            back = sk.maps.inverse_map(source.spectrum, target.spectrum, point_map)
+            missed = float(sk.maps.bijectivity_errors(shape, point_map, back).mean())
     mass = target.spectrum.mass
     return {
         **(
@@ -428,7 +399,7 @@ def quality_of(source: Side, target: Side, found: Match) -> tables.Record:
             }
         ),
         "point_map_orientation": turned,
-        "coverage": coverage(point_map[there], source.spectrum.mass),
+        "coverage": sk.maps.coverage(point_map[there], source.spectrum.mass),
         "dirichlet_energy": energy,
         "inverse_error": missed,
     }
@@ -436,31 +407,33 @@ def quality_of(source: Side, target: Side, found: Match) -> tables.Record:
 
 def _draw(
     asked: MatchOptions,
-    paths: list[Path],
+    folder: Path,
     source: Side,
     target: Side,
-    found: Match,
-    errors: MapErrors | None,
+    found: "sk.Match",
+    errors: "MapErrors | None",
     label: str,
 ) -> None:
     names = (stem(source.name), stem(target.name))
     title = " to ".join(names)
-    page = Page(title, dpi=asked.dpi)
-    plot_correspondence(
+    page = sk.show.Page(title, dpi=asked.dpi)
+    size = f"{source.geometry.n:,} and {target.geometry.n:,} points"
+    sk.show.plot_correspondence(
         source.geometry,
         target.geometry,
         found.point_map,
-        path=paths[0],
+        path=folder / _PICTURES[0],
         errors=errors,
         error_label=label,
         covered=found.covered,
-        view=View(asked.upwards, asked.turn),
+        view=asked.view,
         names=names if names[0] != names[1] else ("source", "target"),
-        page=Page(title, f"{source.geometry.n:,} and {target.geometry.n:,} points", asked.dpi),
+        page=replace(page, subtitle=size),
     )
-    plot_functional_map(found.functional_map, path=paths[1], page=page)
+    sk.show.plot_functional_map(found.functional_map, path=folder / _PICTURES[1], page=page)
     if errors:
-        plot_error_curves({title: errors.direct}, path=paths[2], error_label=label, page=page)
+        curves, path = {title: errors.direct}, folder / _PICTURES[2]
+        sk.show.plot_error_curves(curves, path=path, error_label=label, page=page)
 
 
 def _told(value: object) -> object:

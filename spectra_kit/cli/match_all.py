@@ -6,21 +6,17 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from spectra_kit.cli.options import Count, Sides, refuse_given
+import spectra_kit as sk
+from spectra_kit.cli import options
+from spectra_kit.cli.batch import Workers, engine_of, opened, part_of, running, tell_run
 from spectra_kit.cli.output import check_output
-from spectra_kit.cli.workers import Workers, engine_of, opened, part_of, running, tell_run
-from spectra_kit.datasets import Matching
-from spectra_kit.datasets.inputs import only_plan, pairs_of, records_of
-from spectra_kit.datasets.pairs import OF_COLLECTED, collected, match_records
-from spectra_kit.datasets.table import OF_PAIRS, check_columns
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.maps.prepare import LOWEST_K
 
 _OF_WORKERS = ("nworkers", "nthreads", "memory_limit", "scheduler", "scheduler_file", "shard")
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Kept(Sides, group="input"):
+class _Kept(options.Sides, group="input"):
     """The store, and what to match of it."""
 
     store: Path = field(kw_only=False)
@@ -28,7 +24,7 @@ class _Kept(Sides, group="input"):
     pairs: Annotated[Path, Parameter(metavar="all|FILE")]
     """all shapes with all others, each two once; or a .csv file with columns `source` and `target`,
     names of the store, and more for the table"""
-    k: Count | None = None
+    k: options.Count | None = None
     """number of modes: match the spectra that have so many (default: those there are)"""
 
 
@@ -46,6 +42,7 @@ class MatchAllOptions(_Kept, Workers):
         " seconds, store, csv"
     )
     operands = "STORE --pairs all|FILE [options]"
+    needs = ("datasets.match_all",)
 
     csv: Path | None = None
     """write a row for each pair to this .csv file: score, margin, doubts, key of the map
@@ -59,9 +56,16 @@ class MatchAllOptions(_Kept, Workers):
 
 def match_pairs(asked: MatchAllOptions) -> None:
     """Match pairs of a store, tell what failed, write the table."""
+    from spectra_kit.datasets.inputs import only_plan, pairs_of, records_of
+    from spectra_kit.datasets.pairs import OF_COLLECTED, collected, match_records
+    from spectra_kit.datasets.table import OF_PAIRS, check_columns
+    from spectra_kit.maps.prepare import LOWEST_K
+
     store = opened(asked.store)
     if asked.together:
-        refuse_given(asked, _OF_WORKERS, "with --together, which one process does; match alone")
+        options.refuse_given(
+            asked, _OF_WORKERS, "with --together, which one process does; match alone"
+        )
         if asked.sides == "reversed":
             raise InvalidInputError("--sides", "be either or kept with --together", asked.sides)
     if asked.csv:
@@ -78,7 +82,7 @@ def match_pairs(asked: MatchAllOptions) -> None:
     pairs = part_of(asked, pairs_of(asked.pairs, store, plan))
     if asked.csv:
         check_columns(pairs, OF_PAIRS + OF_COLLECTED * asked.together)
-    matching = Matching(k=k, mirrored=asked.mirrored)
+    matching = sk.datasets.Matching(k=k, mirrored=asked.mirrored)
 
     def missing() -> int:
         ends = [(records.get(pair.source), records.get(pair.target)) for pair in pairs]

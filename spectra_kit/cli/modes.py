@@ -1,86 +1,64 @@
 """The commands that compute modes and show them: as numbers, as pictures, swinging."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import spectra_kit as sk
 from spectra_kit._core.validate import check_count, check_positive, quantity
-from spectra_kit.cli import tables
+from spectra_kit.cli import options, solving, tables
 from spectra_kit.cli.inputs import prepare
-from spectra_kit.cli.options import (
-    DEMO,
-    PICTURES,
-    Count,
-    Indices,
-    OnOne,
-    Output,
-    Resolution,
-    Solver,
-    SolverName,
-    Spared,
-    Turned,
-)
-from spectra_kit.cli.output import check_output, tell, tell_with_picture
+from spectra_kit.cli.output import check_output, tell
 from spectra_kit.cli.progress import counted, say, step
-from spectra_kit.cli.solving import (
-    SHOWN,
-    check_solvers,
-    refuse_solving,
-    saved,
-    shown_modes,
-    solve,
-)
-from spectra_kit.eigen import Spectrum, verify
 from spectra_kit.errors import ConvergenceError, OutOfMemoryError
-from spectra_kit.geometry import Geometry
-from spectra_kit.operators import Laplacian
 
 
 @dataclass(frozen=True, kw_only=True)
-class SpectrumOptions(OnOne, Solver, Resolution):
+class SpectrumOptions(options.OnOne, options.Solver, options.Resolution):
     """Compute the lowest eigenvalues and eigenfunctions, each with a certificate of accuracy."""
 
     examples = (
         "spectrum bunny.obj -o bunny.npz",
         "spectrum bunny.obj --solver refined --rtol 1e-8 --verify",
-        f"spectrum {DEMO} -k 24 --accuracy 1e-3 --picture spectrum.png",
+        f"spectrum {options.DEMO} -k 24 --accuracy 1e-3 --picture spectrum.png",
     )
     keys = "input, geometry, eigenvalues, certificate, provenance, verdict, output, picture"
 
-    k: Count = 96
-    solver: SolverName = "automatic"
-    output: Output | None = None
+    k: options.Count = 96
+    solver: options.SolverName = "automatic"
+    output: options.Output | None = None
     """write the spectrum to this .npz file (default: none)"""
     picture: Path | None = None
     """draw eigenvalues, Weyl's law and residuals (.png, .pdf, .svg) (default: none)"""
-    modes: Indices | None = None
+    modes: options.Indices | None = None
     """modes to show, counted from 0 (default: a handful)"""
     verify: bool = False
     """count the eigenvalues to prove that no mode was missed (a few factorisations)"""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shown(OnOne, Spared, Turned):
+class Shown(options.OnOne, options.Spared, options.Turned):
     """Modes that are drawn: those asked for are solved for, unless they are saved."""
 
-    k: Count | None = None
+    k: options.Count | None = None
     """number of modes (default: as many as are shown)"""
-    solver: SolverName = "automatic"
+    solver: options.SolverName = "automatic"
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModesOptions(Shown, Resolution):
+class ModesOptions(Shown, options.Resolution):
     """Draw modes on the surface, with their zero lines, eigenvalues and residuals."""
 
     examples = (
         "modes bunny.obj -o modes.png",
         "modes bunny.obj --spectrum bunny.npz --modes 1,5,20",
-        f"modes {DEMO} -o modes.pdf --dpi 600",
+        f"modes {options.DEMO} -o modes.pdf --dpi 600",
     )
     keys = "input, geometry, eigenvalues, certificate, provenance, verdict, modes, picture"
 
-    output: Output = Path("modes.png")
+    output: options.Output = Path("modes.png")
     """the picture (.png, .pdf, .svg)"""
-    modes: Indices | None = None
+    modes: options.Indices | None = None
     """modes to show, counted from 0 (default: the first 12 that are not constant)"""
     columns: int | None = None
     """modes in a row (default: as fits)"""
@@ -95,13 +73,13 @@ class AnimateOptions(Shown):
     examples = (
         "animate bunny.obj -o modes.gif",
         "animate bunny.obj --spectrum bunny.npz --modes 7",
-        f"animate {DEMO} -o modes.mp4 --width 720 --fps 30",
+        f"animate {options.DEMO} -o modes.mp4 --width 720 --fps 30",
     )
     keys = "input, geometry, eigenvalues, certificate, provenance, verdict, modes, animation"
 
-    output: Output = Path("modes.gif")
+    output: options.Output = Path("modes.gif")
     """the animation: .gif, or .mp4 where imageio-ffmpeg is installed"""
-    modes: Indices | None = None
+    modes: options.Indices | None = None
     """modes to show, counted from 0 (default: the first 6 that are not constant)"""
     seconds: float = 2.0
     """that each mode is shown"""
@@ -114,50 +92,56 @@ class AnimateOptions(Shown):
 def spectrum(asked: SpectrumOptions) -> None:
     """Compute the lowest modes, show a few, save all, draw their eigenvalues."""
     output = asked.output
-    if output:
-        check_output(output, [".npz"], asked.inputs)
-    if asked.picture:
-        check_output(asked.picture, PICTURES, asked.inputs)
-    check_solvers(asked, asked.solver)
+    check_output(output, [".npz"], asked.inputs)
+    check_output(asked.picture, options.PICTURES, asked.inputs)
+    solving.check_solvers(asked, asked.solver)
     k = asked.k
-    shown = shown_modes(asked.modes, (*SHOWN, k - 1), k)
+    shown = solving.shown_modes(asked.modes, (*solving.SHOWN, k - 1), k)
     geometry, laplacian = prepare(asked)
     try:
-        found = solve(laplacian, k, asked.solver, asked)
+        found = solving.solve(laplacian, k, asked.solver, asked)
     except (ConvergenceError, OutOfMemoryError) as error:
         if output and error.partial is not None:
             _rescue(error, output.with_suffix(".partial.npz"))
         raise
     if asked.verify and (found.certificate is None or found.certificate.level != "verified"):
         with step("counting eigenvalues"):
-            found = verify(found, laplacian)
+            found = sk.verify(found, laplacian)
     if output:
         with step(f"writing {output}"):
             found.save(output)
 
     def draw(path: Path) -> None:
-        from spectra_kit.show import Page, plot_spectrum
         from spectra_kit.show.spectra import free_boundary
 
-        page = Page(tables.title(asked.file, geometry), dpi=asked.dpi)
-        plot_spectrum(found, path=path, free_boundary=free_boundary(geometry, found), page=page)
+        sk.show.plot_spectrum(
+            found,
+            path=path,
+            free_boundary=free_boundary(geometry, found),
+            page=tables.page(asked, geometry),
+        )
 
-    tell_with_picture(
+    tell(
         asked,
-        {
-            "input": asked.file,
-            "geometry": tables.geometry_record(geometry),
-            **tables.spectrum_record(found),
-            "output": output,
-        },
+        {**_record(asked, geometry, found), "output": output},
         tables.headline(asked.file, geometry, laplacian),
         tables.modes_table(found, shown),
         tables.certificate_lines(found),
         *([f"spectrum: {output}"] if output else []),
-        picture=asked.picture,
         draw=draw,
         kept=f"the spectrum {output} is whole" if output else "the numbers are whole",
     )
+
+
+def _record(
+    asked: options.OnOne, geometry: "sk.geometry.Geometry", spectrum: "sk.Spectrum"
+) -> tables.Record:
+    """What the commands tell of modes."""
+    return {
+        "input": asked.file,
+        "geometry": tables.geometry_record(geometry),
+        **tables.spectrum_record(spectrum),
+    }
 
 
 def _rescue(error: ConvergenceError | OutOfMemoryError, path: Path) -> None:
@@ -172,21 +156,23 @@ def modes(asked: ModesOptions) -> None:
     """Draw modes on one page."""
     if asked.columns is not None:
         check_count("--columns", asked.columns, low=1)
-    geometry, laplacian, spectrum, shown = _to_show(asked, PICTURES, 12)
-    from spectra_kit.show import Page, View, plot_modes
 
-    with step(f"drawing {quantity(len(shown), 'mode')}"):
-        plot_modes(
-            geometry,
-            spectrum,
-            path=asked.output,
-            modes=shown,
-            nodal_lines=not asked.no_lines,
-            columns=asked.columns,
-            view=View(asked.upwards, asked.turn),
-            page=Page(tables.title(asked.file, geometry), dpi=asked.dpi),
-        )
-    _tell(asked, "picture", geometry, laplacian, spectrum, shown)
+    def draw(
+        geometry: "sk.geometry.Geometry", spectrum: "sk.Spectrum", shown: tuple[int, ...]
+    ) -> None:
+        with step(f"drawing {quantity(len(shown), 'mode')}"):
+            sk.show.plot_modes(
+                geometry,
+                spectrum,
+                path=asked.output,
+                modes=shown,
+                nodal_lines=not asked.no_lines,
+                columns=asked.columns,
+                view=asked.view,
+                page=tables.page(asked, geometry),
+            )
+
+    _show(asked, "picture", options.PICTURES, 12, draw)
 
 
 def animate(asked: AnimateOptions) -> None:
@@ -194,65 +180,55 @@ def animate(asked: AnimateOptions) -> None:
     check_positive("--seconds", asked.seconds)
     check_count("--fps", asked.fps, low=1)
     check_count("--width", asked.width, low=16)
-    geometry, laplacian, spectrum, shown = _to_show(asked, (".gif", ".mp4"), 6)
-    from spectra_kit.show import View, animate_modes
 
-    with counted(f"drawing {quantity(len(shown), 'mode')}", "frame") as progress:
-        animate_modes(
-            geometry,
-            spectrum,
-            path=asked.output,
-            modes=shown,
-            seconds_per_mode=asked.seconds,
-            fps=asked.fps,
-            width=asked.width,
-            view=View(asked.upwards, asked.turn),
-            progress=progress,
-        )
-    _tell(asked, "animation", geometry, laplacian, spectrum, shown)
+    def draw(
+        geometry: "sk.geometry.Geometry", spectrum: "sk.Spectrum", shown: tuple[int, ...]
+    ) -> None:
+        with counted(f"drawing {quantity(len(shown), 'mode')}", "frame") as progress:
+            sk.show.animate_modes(
+                geometry,
+                spectrum,
+                path=asked.output,
+                modes=shown,
+                seconds_per_mode=asked.seconds,
+                fps=asked.fps,
+                width=asked.width,
+                view=asked.view,
+                progress=progress,
+            )
+
+    _show(asked, "animation", (".gif", ".mp4"), 6, draw)
 
 
-def _to_show(
-    asked: ModesOptions | AnimateOptions, suffixes: tuple[str, ...], usual: int
-) -> tuple[Geometry, Laplacian, Spectrum, tuple[int, ...]]:
-    """Return modes, and which to show: those asked for, else the first that are not constant."""
+def _show(
+    asked: ModesOptions | AnimateOptions,
+    what: str,
+    suffixes: tuple[str, ...],
+    usual: int,
+    draw: Callable[["sk.geometry.Geometry", "sk.Spectrum", tuple[int, ...]], None],
+) -> None:
+    """Draw modes, those asked for or the first that are not constant, and say where they are."""
     check_output(asked.output, suffixes, asked.inputs)
     for mode in asked.modes or ():
         check_count("--modes", mode, low=0)
     if asked.spectrum:
-        refuse_solving(asked)
-    check_solvers(asked, asked.solver)
+        solving.refuse_solving(asked)
+    solving.check_solvers(asked, asked.solver)
     geometry, laplacian = prepare(asked)
     if asked.spectrum:
-        spectrum = saved(asked.spectrum, laplacian)
+        spectrum = solving.saved(asked.spectrum, laplacian)
         if asked.k is not None:
             spectrum = spectrum.truncate(asked.k)
     else:
         needed = max(asked.modes) + 1 if asked.modes else usual + laplacian.kernel_dimension
         k = min(needed, len(laplacian.free)) if asked.k is None else asked.k
-        spectrum = solve(laplacian, max(k, 1), asked.solver, asked)
+        spectrum = solving.solve(laplacian, max(k, 1), asked.solver, asked)
     first = spectrum.n_zero_modes
-    which = shown_modes(asked.modes, range(first, first + usual), spectrum.k)
-    return geometry, laplacian, spectrum, which
-
-
-def _tell(
-    asked: ModesOptions | AnimateOptions,
-    what: str,
-    geometry: Geometry,
-    laplacian: Laplacian,
-    spectrum: Spectrum,
-    shown: tuple[int, ...],
-) -> None:
-    """Say what was drawn and where it is."""
-    found = {
-        "input": asked.file,
-        "geometry": tables.geometry_record(geometry),
-        **tables.spectrum_record(spectrum),
-    }
+    shown = solving.shown_modes(asked.modes, range(first, first + usual), spectrum.k)
+    draw(geometry, spectrum, shown)
     tell(
         asked,
-        {**found, "modes": shown, what: asked.output},
+        {**_record(asked, geometry, spectrum), "modes": shown, what: asked.output},
         tables.headline(asked.file, geometry, laplacian),
         tables.modes_table(spectrum, shown),
         f"{what}: {asked.output}",

@@ -41,6 +41,8 @@ def words(_: object, tokens: Sequence[Any]) -> tuple[str, ...]:
 
 
 if TYPE_CHECKING:
+    from spectra_kit.show import View
+
     File = str
 else:  # a text; but of a path the shell knows how to complete it
     File = str | Path
@@ -66,6 +68,7 @@ class Command:
     examples: ClassVar[tuple[str, ...]]
     keys: ClassVar[str]  # of the object that --json prints
     operands: ClassVar[str] = "FILE [options]"
+    needs: ClassVar[tuple[str, ...]] = ("eigen",)  # of the library, imported before it begins
     group: ClassVar[str] = "general"  # of the options that a class adds, in the help
 
     json: Annotated[bool, Parameter(group=_GROUPS["general"])] = False
@@ -233,6 +236,13 @@ class Turned(Upright, group="drawing"):
 
     turn: float = 0.0
     """turn it about that axis by X degrees, its front to the right; 180 shows the other side"""
+
+    @property
+    def view(self) -> "View":
+        """From where it is looked at."""
+        from spectra_kit.show import View
+
+        return View(self.upwards, self.turn)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,9 +7,8 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from math import isfinite
 from pathlib import Path
-
-import numpy as np
 
 from spectra_kit._core.files import is_special, naming, replace, temporary_folder, undivided
 from spectra_kit._core.shown import printable
@@ -17,9 +16,13 @@ from spectra_kit.cli.options import Command
 from spectra_kit.cli.progress import STDOUT, say, step
 from spectra_kit.errors import InvalidInputError
 
+REPORT = "report.json"
 
-def check_output(path: Path, suffixes: Sequence[str], inputs: Iterable[Path]) -> None:
+
+def check_output(path: Path | None, suffixes: Sequence[str], inputs: Iterable[Path]) -> None:
     """Refuse a bad output path before the work, not after it; and one that would eat an input."""
+    if path is None:
+        return
     cannot = f"cannot write {str(path)!r}"
     if path.suffix.lower() not in suffixes:
         known = " or ".join(suffixes)
@@ -86,41 +89,67 @@ def check_folder(
         )
 
 
-def tell(asked: Command, record: Mapping[str, object], *blocks: str) -> None:
-    """Write a result to stdout: one object if that was asked for, else blocks of text."""
-    text = as_json(record) if asked.json else printable("\n\n".join(blocks), lines=True) + "\n"
-    with naming(STDOUT):
-        sys.stdout.write(text)
-
-
-def tell_with_picture(
+def tell(
     asked: Command,
     record: Mapping[str, object],
     *blocks: str,
-    picture: Path | None,
-    draw: Callable[[Path], object],
+    draw: Callable[[Path], object] | None = None,
     kept: str = "the numbers are whole",
 ) -> None:
-    """Write the result, and draw where that was asked for.
+    """Write a result to stdout, as an object or as blocks of text, and `draw` the picture of it.
 
     Text comes first: what ends the drawing early does not cost the numbers. JSON tells whether
     there is a picture, and comes after it, also where it ends early.
     """
+    picture = getattr(asked, "picture", None)
     drawn = None
     if not asked.json:
-        tell(asked, record, *blocks)
-        with naming(STDOUT):
-            sys.stdout.flush()
+        _print(printable("\n\n".join(blocks), lines=True) + "\n", now=picture is not None)
     try:
-        if picture:
+        if picture and draw:
             with drawing([picture], kept=kept):
                 draw(picture)
-            drawn = str(picture)
+            drawn = picture
     finally:
         if asked.json:
-            tell(asked, {**record, "picture": drawn})
+            told = {**record, "picture": drawn} if hasattr(asked, "picture") else record
+            _print(as_json(told))
     if drawn and not asked.json:
-        sys.stdout.write(f"\npicture: {printable(drawn)}\n")
+        _print(f"\npicture: {printable(str(drawn))}\n")
+
+
+def _print(text: str, *, now: bool = False) -> None:
+    with naming(STDOUT):
+        sys.stdout.write(text)
+        if now:
+            sys.stdout.flush()
+
+
+def tell_folder(
+    asked: Command,
+    folder: Path,
+    record: Mapping[str, object],
+    *blocks: str,
+    files: Sequence[str],
+    pictures: Sequence[str],
+    replacing: Sequence[str],
+    write: Callable[[Path], object],
+    draw: Callable[[Path], object],
+) -> None:
+    """Write a result and a report of it into a folder, draw it there, and say what was written.
+
+    `write` and `draw` are handed the folder; the pictures of an earlier run, `replacing`, go.
+    """
+    with step(f"writing {folder}"), together(folder, replacing=replacing) as part:
+        write(part)
+        (part / REPORT).write_text(as_json(record))
+    if pictures:
+        paths = [folder / name for name in pictures]
+        with drawing(paths, kept=f"the numbers in {folder} are whole"):
+            draw(folder)
+    written = [str(folder / name) for name in (*files, *pictures)]
+    told = "\n".join(f"written: {path}" for path in written)
+    tell(asked, {**record, "written": written}, *blocks, told)
 
 
 def as_json(record: Mapping[str, object]) -> str:
@@ -145,17 +174,15 @@ def _indented(value: object, margin: str) -> str:
 
 def _plain(value: object) -> object:
     """Return `value` as JSON has it."""
+    if hasattr(value, "tolist"):  # of NumPy
+        value = value.tolist()
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | list | tuple):
+    if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
     if isinstance(value, Path):
         return str(value)
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
+    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 @contextmanager
@@ -185,13 +212,14 @@ def _state(path: Path) -> tuple[int, int] | None:
 
 
 @contextmanager
-def together(folder: Path, *, report: str, replacing: Iterable[str]) -> Iterator[Path]:
+def together(folder: Path, *, replacing: Iterable[str] = ()) -> Iterator[Path]:
     """Yield an empty folder, whose files move into `folder` when the block ends well.
 
     So what is interrupted leaves nothing, or the whole result of an earlier run. The pictures of
     that run, `replacing`, go in the same moment: they would show another result than the numbers.
-    No signal comes between; should the process be killed there, or the power fail, then `report`
-    is missing, which goes first and comes last: it never stands beside numbers of another run.
+    No signal comes between; should the process be killed there, or the power fail, then the
+    report is missing, which goes first and comes last: it never stands beside numbers of another
+    run.
     """
     beside = folder if folder.is_dir() else folder.parent
     with ExitStack() as stack:
@@ -199,10 +227,10 @@ def together(folder: Path, *, report: str, replacing: Iterable[str]) -> Iterator
             part = stack.enter_context(temporary_folder(beside))
         with naming(folder, part):
             yield part
-        done = sorted(part.iterdir(), key=lambda path: path.name == report)
+        done = sorted(part.iterdir(), key=lambda path: path.name == REPORT)
         with undivided():
             folder.mkdir(exist_ok=True)
-            for old in (report, *replacing):
+            for old in (REPORT, *replacing):
                 (folder / old).unlink(missing_ok=True)
             for path in done:
                 replace(path, folder / path.name)

@@ -51,6 +51,7 @@ class CompletionOptions(Command):
     )
     keys = "shell, script"
     operands = "SHELL"
+    needs = ()
 
     shell: Literal["bash", "zsh", "fish"] = field(kw_only=False)
     """which one runs it"""
@@ -65,65 +66,36 @@ def completion(asked: CompletionOptions) -> None:
 
 
 def load(name: str) -> tuple[type[Command], Callable[[Any], None]]:
-    """Return what a command can be told, and its function.
+    """Return what a command can be told, and its function; rooms of the library wait."""
+    from spectra_kit.cli import (
+        batch,
+        compare,
+        explore,
+        geodesic,
+        info,
+        learn,
+        match,
+        match_all,
+        modes,
+    )
 
-    With them comes what it needs, which takes seconds to import for some: so no other is.
-    """
-    match name:
-        case "info":
-            from spectra_kit.cli.info import InfoOptions, info
-
-            return InfoOptions, info
-        case "spectrum":
-            from spectra_kit.cli.modes import SpectrumOptions, spectrum
-
-            return SpectrumOptions, spectrum
-        case "modes":
-            from spectra_kit.cli.modes import ModesOptions, modes
-
-            return ModesOptions, modes
-        case "animate":
-            from spectra_kit.cli.modes import AnimateOptions, animate
-
-            return AnimateOptions, animate
-        case "compare":
-            from spectra_kit.cli.compare import CompareOptions, compare
-
-            return CompareOptions, compare
-        case "explore":
-            from spectra_kit.cli.explore import ExploreOptions, explore
-
-            return ExploreOptions, explore
-        case "match":
-            from spectra_kit.cli.match import MatchOptions, match_shapes
-
-            return MatchOptions, match_shapes
-        case "geodesic":
-            from spectra_kit.cli.geodesic import GeodesicOptions, geodesic_distances
-
-            return GeodesicOptions, geodesic_distances
-        case "similar":
-            from spectra_kit.cli.learn import SimilarOptions, similar
-
-            return SimilarOptions, similar
-        case "label":
-            from spectra_kit.cli.learn import LabelOptions, label
-
-            return LabelOptions, label
-        case "batch":
-            from spectra_kit.cli.batch import BatchOptions, batch
-
-            return BatchOptions, batch
-        case "match-all":
-            from spectra_kit.cli.match_all import MatchAllOptions, match_pairs
-
-            return MatchAllOptions, match_pairs
-        case "store":
-            from spectra_kit.cli.batch import StoreOptions, store
-
-            return StoreOptions, store
-        case _:
-            return CompletionOptions, completion
+    commands: dict[str, tuple[type[Command], Callable[[Any], None]]] = {
+        "info": (info.InfoOptions, info.info),
+        "spectrum": (modes.SpectrumOptions, modes.spectrum),
+        "modes": (modes.ModesOptions, modes.modes),
+        "animate": (modes.AnimateOptions, modes.animate),
+        "compare": (compare.CompareOptions, compare.compare),
+        "explore": (explore.ExploreOptions, explore.explore),
+        "match": (match.MatchOptions, match.match_shapes),
+        "geodesic": (geodesic.GeodesicOptions, geodesic.geodesic_distances),
+        "similar": (learn.SimilarOptions, learn.similar),
+        "label": (learn.LabelOptions, learn.label),
+        "batch": (batch.BatchOptions, batch.batch),
+        "match-all": (match_all.MatchAllOptions, match_all.match_pairs),
+        "store": (batch.StoreOptions, batch.store),
+        "completion": (CompletionOptions, completion),
+    }
+    return commands[name]
 
 
 def _shown(default: object) -> object:

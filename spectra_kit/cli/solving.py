@@ -7,16 +7,14 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+import spectra_kit as sk
 from spectra_kit._core.validate import check_count, quantity
-from spectra_kit.catalogue import SOLVERS, SUBSPACES
+from spectra_kit.catalogue import SOLVERS
+from spectra_kit.cli.inputs import of_file
 from spectra_kit.cli.options import NETWORK, Solver, refuse_given
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.words import listed
-from spectra_kit.eigen import Eigensolver, Neo, Spectrum, eigensolve
-from spectra_kit.eigen.base import plane_waves
-from spectra_kit.eigen.subspaces import Subspace
-from spectra_kit.errors import InvalidFileError, InvalidInputError
-from spectra_kit.operators import Laplacian
+from spectra_kit.errors import InvalidInputError
 
 # Both sides of a comparison are solved for a few modes more: pushed-out modes are found again,
 # and a cluster that k cuts is known as one.
@@ -58,7 +56,7 @@ def _takes(name: str, option: str, asked: Solver) -> bool:
     return option in known or (option in NETWORK and starts and asked.start == "neo")
 
 
-def make_solver(name: str, asked: Solver, k: int) -> Eigensolver:
+def make_solver(name: str, asked: Solver, k: int) -> sk.eigen.Eigensolver:
     """Return the solver of a name for k modes, or as many as were asked for, told what it takes."""
     known, k = _fields(name), asked.k or k
     told = {
@@ -67,28 +65,28 @@ def make_solver(name: str, asked: Solver, k: int) -> Eigensolver:
         if option in known and (value := getattr(asked, option)) is not None
     }
     if name == "fourier":
-        told["subspace"] = SUBSPACES["fourier"](seed=asked.seed)
+        told["subspace"] = sk.AmbientFourier(seed=asked.seed)
     elif asked.start and (begin := known.keys() & {"subspace", "start"}):
         told[begin.pop()] = _start(asked.start, asked, k)
-    solver: Eigensolver = SOLVERS[name](**told)
-    return solver
+    return SOLVERS[name](**told)  # type: ignore[no-any-return]
 
 
-def _start(name: str, asked: Solver, k: int) -> Subspace:
+def _start(name: str, asked: Solver, k: int) -> sk.eigen.subspaces.Subspace:
     """Return the subspace of a name, large enough for k modes and a few more."""
     if name == "neo":
-        return Neo(**{option: getattr(asked, option) for option in NETWORK}).subspace
+        return sk.Neo(**{option: getattr(asked, option) for option in NETWORK}).subspace
     if name == "random":
-        subspace: Subspace = SUBSPACES["random"](m=k + max(k // 2, 2 * EXTRA), seed=asked.seed)
-        return subspace
+        return sk.RandomBasis(m=k + max(k // 2, 2 * EXTRA), seed=asked.seed)
+    from spectra_kit.eigen.base import plane_waves
+
     return dataclasses.replace(plane_waves(k), seed=asked.seed)
 
 
-def solve(laplacian: Laplacian, k: int, name: str, asked: Solver) -> Spectrum:
+def solve(laplacian: sk.Laplacian, k: int, name: str, asked: Solver) -> sk.Spectrum:
     """Solve for `k` modes by the solver of a name."""
     solver = make_solver(name, asked, k)
     with step(f"solving for {quantity(k, 'mode')} by {name}"):
-        return eigensolve(laplacian, k, solver)
+        return sk.eigensolve(laplacian, k, solver)
 
 
 def refuse_solving(asked: Solver) -> None:
@@ -96,29 +94,29 @@ def refuse_solving(asked: Solver) -> None:
     refuse_given(asked, ("solver", *_TOLD), "on modes of a file; leave --spectrum out")
 
 
-def saved(path: Path, laplacian: Laplacian) -> Spectrum:
+def saved(path: Path, laplacian: sk.Laplacian) -> sk.Spectrum:
     """Read a spectrum, and make sure by its residuals that it is one of this operator."""
     wrong = "holds modes of something else"
     hint = "give the file and the options it was made with, or leave --spectrum out"
     with step(f"reading {path}"):
-        spectrum = Spectrum.load(path)
-        try:
-            certified = spectrum.certify(laplacian)
-        except InvalidInputError as error:
-            problem = InvalidInputError(f"{wrong}: {error}", advice=hint)
-            raise InvalidFileError(path, problem) from error
+        spectrum = sk.Spectrum.load(path)
+        with of_file(path):
+            try:
+                certified = spectrum.certify(laplacian)
+            except InvalidInputError as error:
+                raise InvalidInputError(f"{wrong}: {error}", advice=hint) from error
     now, then = certified.certificate, spectrum.certificate
     if then is None or now is None:
         return certified
     factor, slack = _SAME
     if (now.relative_residuals > factor * then.relative_residuals + slack).any():
-        problem = InvalidInputError(
-            f"{wrong}: their relative residuals were up to"
-            f" {then.relative_residuals.max():.1e} and are {now.relative_residuals.max():.1e}"
-            f" by {laplacian.operator}",
-            advice=hint,
-        )
-        raise InvalidFileError(path, problem)
+        with of_file(path):
+            raise InvalidInputError(
+                f"{wrong}: their relative residuals were up to"
+                f" {then.relative_residuals.max():.1e} and are {now.relative_residuals.max():.1e}"
+                f" by {laplacian.operator}",
+                advice=hint,
+            )
     return spectrum
 
 

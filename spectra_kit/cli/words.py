@@ -8,27 +8,14 @@ from pathlib import Path
 
 from spectra_kit.catalogue import OPERATORS, SOLVERS
 
-_SAME = (
-    "modes",
-    "rtol",
-    "seed",
-    "dpi",
-    "turn",
-    "landmarks",
-    "initial",
-    "operator",
-    "boundary",
-    "cloud",
-    "descriptors",
-)
+_SOLVED = ("accuracy", "modes", "rtol", "seed", "operator", "boundary", "cloud", "descriptors")
+_SHOWN = ("dpi", "turn", "landmarks", "initial")
 _MANY = ("nworkers", "nthreads", "memory_limit", "scheduler", "scheduler_file")  # of Dask
 _OPTIONS = {
     "k": "-k",
     "plan": "-k",
     "n_points": "--points",
-    **{name: f"--{name}" for name in _SAME},
-    **{name: f"--{name.replace('_', '-')}" for name in _MANY},
-    "accuracy": "--accuracy",
+    **{name: f"--{name.replace('_', '-')}" for name in _SOLVED + _SHOWN + _MANY},
     "name_or_path": "--weights",
     "coordinate": "--at",
     "mesh.without_unreferenced()": "--repair",

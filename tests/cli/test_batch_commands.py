@@ -198,6 +198,9 @@ def test_inputs_and_stores_that_are_none(scans, capsys):
     assert "hold meshes or clouds" in refusal(capsys, "batch", "scans/deep", "-o", "store", *HERE)
     line = refusal(capsys, "batch", "scans", "-o", "scans", *HERE)
     assert "be a store, an empty folder or a new one" in line
+    assert "is no store" in refusal(capsys, "store", "list", "nowhere")
+    assert not (scans.parent / "nowhere").exists()
+    assert "on list" in refusal(capsys, "store", "list", "nowhere", "--remove")
 
 
 def test_a_store_is_listed_verified_and_cleaned(scans, capsys):
@@ -212,6 +215,10 @@ def test_a_store_is_listed_verified_and_cleaned(scans, capsys):
     assert listed["entries"] == len(list(kept.entries())) == 9
     assert record(capsys, "store", "verify", "store")["damaged"] == []
     entry = next(kept.entries("spectra"))
+    entry.path.write_bytes(b"")
+    text, said = printed(capsys, "batch", "scans", "-o", "store", *HERE)
+    assert "3 shapes: 1 computed, 2 known, 0 failed" in text
+    assert f"warning: {entry.path} is damaged and made again" in said
     entry.path.write_bytes(entry.path.read_bytes()[:-1])
     assert main(["store", "verify", "store"]) == 2
     out, err = capsys.readouterr()
@@ -221,18 +228,3 @@ def test_a_store_is_listed_verified_and_cleaned(scans, capsys):
     assert removed["removed"] == [str(entry.path)]
     assert record(capsys, "batch", "scans", "-o", "store", *HERE)["computed"] == 1
     assert record(capsys, "store", "clean", "store")["removed"] == []
-
-
-def test_a_damaged_entry_is_told_of_and_made_again(scans, capsys):
-    printed(capsys, "batch", "scans", "-o", "store", *HERE)
-    entry = next(SpectrumStore("store").entries("spectra"))
-    entry.path.write_bytes(b"")
-    text, said = printed(capsys, "batch", "scans", "-o", "store", *HERE)
-    assert "3 shapes: 1 computed, 2 known, 0 failed" in text
-    assert f"warning: {entry.path} is damaged and made again" in said
-
-
-def test_what_is_no_store_is_not_made_one(scans, capsys):
-    assert "is no store" in refusal(capsys, "store", "list", "nowhere")
-    assert not (scans.parent / "nowhere").exists()
-    assert "on list" in refusal(capsys, "store", "list", "nowhere", "--remove")

@@ -2,10 +2,11 @@
 
 import re
 import warnings
+from itertools import product
 
 import numpy as np
 import pytest
-from conftest import bumpy, two_parts
+from conftest import bumpy, joined, moved, two_parts
 from running import printed, record, refusal, write_shapes
 
 from spectra_kit import AmbientFourier, Cascade, Neo, RandomBasis, RayleighRitz, Refined, Spectrum
@@ -191,9 +192,7 @@ def test_compare_measures_a_prediction(files, capsys):
 def test_where_eigenvalues_coincide_the_means_are_those_of_spaces(files, capsys):
     """Each basis of an eigenspace is as good: the vectors of the two solvers differ freely."""
     ball = sphere(subdivisions=2).geometry
-    three = [ball.points + [4 * i, 0, 0] for i in range(3)]
-    faces = [ball.faces + i * ball.n for i in range(3)]
-    write(TriangleMesh(np.vstack(three), np.vstack(faces)), files / "three.off")
+    write(joined(ball, moved(ball, 4, 0, 0), moved(ball, 8, 0, 0)), files / "three.off")
     command = ("compare", files / "three.off", "-k", 12, "--solver", "refined")
     comparison = record(capsys, *command)["comparison"]
     assert comparison["mean_vector_error"] > 0.1
@@ -212,36 +211,27 @@ def test_where_eigenvalues_coincide_the_means_are_those_of_spaces(files, capsys)
 
 
 def test_options_reach_the_solvers_that_take_them():
-    takers = {
-        "accuracy": {"automatic"},
-        "rtol": {"refined"},
-        "start": {"refined", "cascade"},
-        "device": {"neo", "cascade", "automatic"},
-        "poses": {"neo"},
-    }
-    values = {
-        "accuracy": "0.25",
-        "rtol": "1e-4",
-        "start": "random",
-        "device": "cpu:0",
-        "poses": "2",
+    told = {
+        "accuracy": ("0.25", "accuracy=0.25", {"automatic"}),
+        "rtol": ("1e-4", "rtol=0.0001", {"refined"}),
+        "start": ("random", "RandomBasis(", {"refined", "cascade"}),
+        "device": ("cpu:0", "device='cpu:0'", {"neo", "cascade", "automatic"}),
+        "poses": ("2", "poses=2", {"neo"}),
     }
     seeded = parse(["spectrum", "a", "--seed", "7"])[0]
     assert "seed=7" in repr(solving.make_solver("refined", seeded, 4))
     assert "seed=7" in repr(solving.make_solver("fourier", seeded, 4))
-    shown = ("accuracy=0.25", "rtol=0.0001", "RandomBasis(", "device='cpu:0'", "poses=2")
-    for solver in SOLVERS:
-        for (option, value), text in zip(values.items(), shown, strict=True):
-            asked = parse(["spectrum", "a", "--solver", solver, f"--{option}", value])[0]
-            if solver in takers[option]:
+    for solver, (option, (value, text, takers)) in product(SOLVERS, told.items()):
+        asked = parse(["spectrum", "a", "--solver", solver, f"--{option}", value])[0]
+        if solver in takers:
+            solving.check_solvers(asked, solver)
+            assert text in repr(solving.make_solver(solver, asked, 4))
+        else:
+            with pytest.raises(InvalidInputError, match=f"--{option}` must go with"):
                 solving.check_solvers(asked, solver)
-                assert text in repr(solving.make_solver(solver, asked, 4))
-            else:
-                with pytest.raises(InvalidInputError, match=f"--{option}` must go with"):
-                    solving.check_solvers(asked, solver)
     asked = parse(["compare", "a", "--solver", "refined", "--start", "neo", "--poses", "4"])[0]
     solving.check_solvers(asked, "arpack", "refined")  # one of the two takes it
-    assert solving.make_solver("refined", asked, 4).start == solving.Neo(poses=4).subspace
+    assert solving.make_solver("refined", asked, 4).start == Neo(poses=4).subspace
 
 
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
@@ -284,10 +274,7 @@ def test_corners_that_are_not_joined_are_told(tmp_path, capsys) -> None:
 
 def test_the_largest_part_alone(tmp_path, capsys) -> None:
     ball, speck = sphere(subdivisions=2).geometry, sphere(subdivisions=0).geometry
-    faces = np.vstack([speck.faces, ball.faces + speck.n])
-    write(
-        TriangleMesh(np.vstack([0.01 * speck.points + 2, ball.points]), faces), tmp_path / "a.off"
-    )
+    write(joined(moved(speck, 2, 2, 2, scale=0.01), ball), tmp_path / "a.off")
     out, told = printed(capsys, "spectrum", tmp_path / "a.off", "-k", 3, "--largest")
     assert told == "the largest part: 162 points; 12 left out\n"
     assert "1 component" in out

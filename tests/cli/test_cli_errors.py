@@ -19,7 +19,7 @@ from spectra_kit.cli import info, main
 from spectra_kit.cli.output import as_json, check_folder, together
 from spectra_kit.cli.program import COMMANDS
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
-from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, write
+from spectra_kit.geometry import PointCloud, TriangleMesh, sphere, write
 
 OTHERS = ("batch", "match-all", "store", "completion")  # of many files, of a folder, of none
 NAMES = [name for name in COMMANDS if name not in OTHERS]
@@ -32,9 +32,7 @@ def folder(tmp_path_factory):
     write(ball, folder / "ball.off")
     write(ball.as_cloud(), folder / "cloud.ply")
     write(PointCloud([[0.0, 0, 0]]), folder / "point.ply")
-    write(rectangle(n=100).geometry, folder / "sheet.off")
     spectrum(sphere(subdivisions=1).geometry, 4).save(folder / "other.npz")
-    (folder / "gap.xyz").write_text("nan 0 0\n")
     (folder / "empty.off").touch()
     (folder / "text.docx").write_text("words")
     (folder / "sub").mkdir()
@@ -72,7 +70,6 @@ def test_every_command_refuses_bad_files_in_one_line(name, folder, inside, capsy
 
 
 BALL = "ball.off"
-DIRICHLET = ("--boundary", "dirichlet")
 GEODESIC = ("geodesic", BALL, "--source", "0")
 AT_A_FACE = ("geodesic", BALL, "--face")
 
@@ -80,32 +77,24 @@ AT_A_FACE = ("geodesic", BALL, "--face")
 @pytest.mark.parametrize(
     ("message", "arguments"),
     [
-        ("finite", ("spectrum", "gap.xyz")),
         ("must be at most the number of free points", ("spectrum", BALL, "-k", "700")),
         ("`-k` must be in [1, 162], got 700", ("compare", BALL, "-k", "700")),
         ("`-k` must be at least 1, got 0", ("modes", BALL, "-k", "0")),
         ("`--modes` must be in [0, 3], got 4", ("spectrum", BALL, "-k", "4", "--modes", "4")),
-        ("`--modes` must be in [0, 3], got 4", ("modes", BALL, "-k", "4", "--modes", "4")),
         ("`--modes` must be at least 0, got -1", ("modes", BALL, "--modes", "-1")),
         ("`--columns` must be at least 1, got 0", ("modes", BALL, "--columns", "0")),
         ("`--seconds` must be positive", ("animate", BALL, "--seconds", "0")),
-        ("`--fps` must be at least 1, got 0", ("animate", BALL, "--fps", "0")),
-        ("`--width` must be at least 16, got 2", ("animate", BALL, "--width", "2")),
         ("`--max-points` must be at least 4, got 2", ("explore", BALL, "--max-points", "2")),
         ("`--port` must be in [0, 65535]", ("explore", BALL, "--serve", "--port", "70000")),
         ("`--turn` must be a finite number", ("modes", BALL, "-k", "3", "--turn", "nan")),
         ("got cotan, which needs a mesh", ("spectrum", "cloud.ply", "--operator", "cotan")),
         ("`--cloud` must sample a mesh, got", ("spectrum", "cloud.ply", "--cloud", "100")),
         ("`--cloud` must be at least 1, got 0", ("spectrum", BALL, "--cloud", "0")),
-        ("`--cloud` must fit into 64 bits, got 1000", ("info", BALL, "--cloud", str(10**30))),
         ("not enough memory", ("info", BALL, "--cloud", "90000000000000")),
-        ("`--boundary` must be neumann on what", ("spectrum", BALL, *DIRICHLET)),
-        ("`--boundary` must be neumann on what", ("spectrum", "cloud.ply", *DIRICHLET)),
-        ("must be positive", ("spectrum", BALL, "--solver", "refined", "--rtol", "0")),
+        ("`--boundary` must be neumann on what", ("spectrum", BALL, "--boundary", "dirichlet")),
         ("got automatic; choose one of those by --solver", ("spectrum", BALL, "--rtol", "1e-4")),
         ("got lanczos and dense", ("compare", BALL, "--solver", "dense", "--rtol", "1e-4")),
         ("must be one of", ("spectrum", BALL, "--solver", "neo", "--weights", "none")),
-        ("torch can use here", ("compare", BALL, "--device", "meta", "-k", "4")),
         ("must be in [500, 5000000], got 10", ("spectrum", "demo", "--points", "10")),
         ("must be in [10, 2400], got 0", ("modes", BALL, "-k", "4", "--dpi", "0")),
         # What has no effect as things are.
@@ -118,7 +107,6 @@ AT_A_FACE = ("geodesic", BALL, "--face")
             ("spectrum", BALL, "--solver", "arpack", "--accuracy", "1e-3"),
         ),
         ("`--accuracy` must be less than 1", ("modes", BALL, "--accuracy", "2")),
-        ("`--accuracy` must be a number", ("compare", BALL, "--accuracy", "nan")),
         (
             "--accuracy has no effect on modes",
             ("modes", BALL, "--accuracy", ".1", "--spectrum", "x.npz"),
@@ -134,25 +122,17 @@ AT_A_FACE = ("geodesic", BALL, "--face")
         # Distances.
         ("distances need at least one source; name some by --source, --at", GEODESIC[:2]),
         ("`--source` must be in [0, 162), got 162", (*GEODESIC, "162")),
-        ("`--source` must be in [0, 162), got -1", (*GEODESIC, "-1")),
-        ("`--source` must be in [0, 162)", (*GEODESIC, str(10**30))),
         ("begin with the number of a face, got 1.5", (*AT_A_FACE, "1.5", "1", "0", "0")),
         ("must be in [0, 320), got 5000", (*AT_A_FACE, "5000", "1", "0", "0")),
-        ("must be non-negative and sum to 1", (*AT_A_FACE, "0", "1", "1", "0")),
         ("name places by --at instead", (*AT_A_FACE, "0", "1", "0", "0", "--repair")),
         ("name places by --at instead", (*GEODESIC, "--cloud", "100")),
-        ("FacePoint", ("geodesic", "cloud.ply", *AT_A_FACE[2:], "0", "1", "0", "0")),
-        ("must be finite", ("geodesic", BALL, "--at", "nan", "0", "0")),
-        ("must lie near the points, which reach", ("geodesic", BALL, "--at", "1e300", "0", "0")),
         ("`--farthest` must be at least 0, got -1", ("geodesic", BALL, "--farthest", "-1")),
         ("`--farthest` must be in [0, 162], got 163", ("geodesic", BALL, "--farthest", "163")),
         ("`-k` must be at least 1", (*GEODESIC, "--solver", "arpack", "-k", "0")),
         ("-k has no effect without modes; choose what solves for them", (*GEODESIC, "-k", "9")),
         ("--weights has no effect without", (*GEODESIC, "--weights", "x")),
-        ("`--poisson-rtol` must be positive", (*GEODESIC, "--poisson-rtol", "-1")),
         ("`--poisson-rtol` must be less than 1", (*GEODESIC, "--poisson-rtol", "1")),
         ("on a direct solver", (*GEODESIC, "--method", "direct", "--poisson-rtol", "1e-9")),
-        ("`--time-coefficient` must be positive", (*GEODESIC, "--time-coefficient", "0")),
         ("`--spacing` must be positive", (*GEODESIC, "--spacing", "0")),
         ("must have the 162 points", (*GEODESIC, "--spectrum", "other.npz")),
         ("--method projected needs modes", (*GEODESIC, "--method", "projected")),
@@ -165,10 +145,6 @@ AT_A_FACE = ("geodesic", BALL, "--face")
             (*GEODESIC, "--heat-boundary", "average", "--compare"),
         ),
         ("--up has no effect with --no-pictures", (*GEODESIC, "--no-pictures", "--up", "y")),
-        (
-            "must not all lie on the boundary of",
-            ("geodesic", "sheet.off", "--source", "0", "--heat-boundary", "dirichlet"),
-        ),
     ],
     ids=lambda part: part[0] if isinstance(part, tuple) else "",
 )
@@ -298,20 +274,20 @@ def test_a_reader_that_leaves_early_is_no_error():
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full here")
 @pytest.mark.parametrize(
-    ("command", "code", "err"),
+    ("command", "code", "err", "unbuffered"),
     [
-        ("modes --help >&-", 0, ""),
-        ("modes --help >/dev/full", 2, "error: standard output: no space left on device"),
-        ("fly 2>&-", 2, ""),
-        ("fly 2>/dev/full", 2, ""),
-        ("info none.off <&- >&-", 2, "error: none.off: there is no such file; looked from"),
+        ("modes --help >&-", 0, "", ""),
+        ("modes --help >/dev/full", 2, "error: standard output: no space left on device", ""),
+        ("modes --help >/dev/full", 2, "error: standard output: no space left on device", "1"),
+        ("fly 2>&-", 2, "", ""),
+        ("fly 2>/dev/full", 2, "", "1"),
+        ("info none.off <&- >&-", 2, "error: none.off: there is no such file; looked from", ""),
     ],
 )
-@pytest.mark.parametrize("unbuffered", [True, False])
 def test_closed_and_full_streams(folder, command, code, err, unbuffered):
     program = f"{sys.executable} -m spectra_kit {command}"
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
-    environment |= {"PYTHONUNBUFFERED": "1" if unbuffered else ""}
+    environment["PYTHONUNBUFFERED"] = unbuffered
     done = subprocess.run(
         ["sh", "-c", program], cwd=folder, env=environment, capture_output=True, text=True
     )
@@ -342,7 +318,7 @@ def test_names_of_files_may_be_any_bytes(
 
 
 def write_result(results, run):
-    with together(results, report="report.json", replacing=["picture.png"]) as part:
+    with together(results, replacing=["picture.png"]) as part:
         for name in ("report.json", "a.npy", "z.npy"):  # wherever it stands in the alphabet
             (part / name).write_text(run)
         if run == "interrupted":
@@ -421,25 +397,16 @@ def test_saved_modes_must_be_of_this_geometry_and_operator(folder, capsys, tmp_p
     assert "not a whole spectrum file" in refusal(capsys, "modes", ball, "--spectrum", ball)
 
 
-@pytest.mark.parametrize(
-    ("command", "key"),
-    [
-        (("spectrum", "--picture", "x.png", "--dpi", "0"), "eigenvalues"),
-        (("compare", "--solver", "dense", "-o", "x.png", "--dpi", "0"), "comparison"),
-    ],
-)
-def test_a_drawing_that_fails_keeps_the_numbers(
-    command, key, folder, capsys, tmp_path, monkeypatch
-):
+def test_a_drawing_that_fails_keeps_the_numbers(folder, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    name, *options = command
+    command = ["spectrum", str(folder / "ball.off"), "-k", "4", "--picture", "x.png", "--dpi", "0"]
     for form in ((), ("--json",)):
-        assert main([name, str(folder / "ball.off"), "-k", "4", *options, *form]) == 2
+        assert main([*command, *form]) == 2
         out, err = capsys.readouterr()
         assert err.startswith("the numbers are whole, but not drawn: x.png\nerror: `")
         if form:
             told = json.loads(out)
-            assert told[key]
+            assert told["eigenvalues"]
             assert told["picture"] is None
         else:
             assert "largest relative residual" in out

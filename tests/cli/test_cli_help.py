@@ -18,6 +18,7 @@ NAMES = [*COMMANDS]
 SMALL = ("demo", "--points", "500", "-q", "--json")
 CHEAP = {  # what is not SMALL with four modes
     "info": SMALL,
+    "modes": (*SMALL, "-k", "4", "--dpi", "40"),
     "animate": (*SMALL, "-k", "4", "--modes", "1", "--seconds", "0.1", "--width", "64"),
     "compare": (*SMALL, "-k", "4", "--solver", "dense"),
     "explore": (*SMALL, "-k", "4", "--solver", "none", "-o", "page.html"),
@@ -65,7 +66,11 @@ def test_help_begins_with_a_purpose_and_its_examples_and_options_parse(name, cap
             assert option.name in text
             given += [option.name, *[choices[0] if choices else "1"] * count]
     assert parse([name, *files, *given])[0].json
-    assert max(map(len, help_of(capsys, monkeypatch, name, width=60).splitlines())) <= 60
+
+
+def test_help_keeps_to_a_narrow_terminal(capsys, monkeypatch):
+    text = help_of(capsys, monkeypatch, "geodesic", width=60)
+    assert max(map(len, text.splitlines())) <= 60
 
 
 def test_one_word_has_one_meaning_over_all_commands():

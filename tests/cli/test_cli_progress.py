@@ -133,7 +133,7 @@ def test_a_command_shows_its_steps_to_a_terminal_and_its_table_to_a_pipe(termina
 
 def test_ctrl_c_leaves_no_line_no_traceback_and_no_file(tmp_path):
     master, slave = os.openpty()
-    command = [sys.executable, "-m", "spectra_kit", "spectrum", "demo", "--points", "8000"]
+    command = [sys.executable, "-m", "spectra_kit", "spectrum", "demo", "--points", "4000"]
     options = ["-k", "400", "--solver", "refined", "--rtol", "1e-13", "-o", "out.npz"]
     process = subprocess.Popen(
         [*command, *options], stdout=subprocess.PIPE, stderr=slave, cwd=tmp_path

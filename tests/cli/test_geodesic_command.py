@@ -6,10 +6,11 @@ import os
 import numpy as np
 import pytest
 import trimesh
-from conftest import creature
-from running import printed, record, refusal, write_shapes
+from conftest import creature, joined, moved
+from running import printed, record, write_shapes
 
-from spectra_kit.cli import geodesic, main
+from spectra_kit import show
+from spectra_kit.cli import main
 from spectra_kit.cli.geodesic import linear_solver, why_without_modes
 from spectra_kit.cli.program import parse
 from spectra_kit.eigen import eigensolve
@@ -33,10 +34,7 @@ def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("shapes")
     ball = write_shapes(folder)
     write(creature(1500), folder / "animal.ply")
-    pair = TriangleMesh(
-        np.vstack([ball.points, ball.points + [3, 0, 0]]),
-        np.vstack([ball.faces, ball.faces + ball.n]),
-    )
+    pair = joined(ball, moved(ball, 3, 0, 0))
     write(pair, folder / "pair.ply")
     unused = TriangleMesh(np.vstack([[[9, 9, 9]], ball.points]), ball.faces + 1)
     write(unused, folder / "unused.off")
@@ -268,7 +266,7 @@ def test_the_demo_draws_its_picture(tmp_path, monkeypatch, capsys):
         below.append(page.subtitle)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(geodesic, "plot_distance", interrupted)
+    monkeypatch.setattr(show, "plot_distance", interrupted)
     assert main(["geodesic", "demo", "--points", "500", "-o", "other"]) == 130
     out, err = capsys.readouterr()
     kept = "the numbers in other are whole, but not drawn: other/field.png"
@@ -306,16 +304,3 @@ def test_solvers_are_compared(files, tmp_path, capsys):
             assert len(run["residuals"]) == len(run["times"]) == run["iterations"] + 1
     assert runs["direct Cholesky"]["difference_from_direct"] == 0
     assert 0 < runs["potpourri3d"]["difference_from_direct"] < 0.05
-
-
-def test_files_of_another_run_are_not_mixed_with_its_own(files, tmp_path, capsys):
-    out = tmp_path / "out"
-    few = (files / "ball.off", "--source", 0, "--no-pictures", "-o", out)
-    for _ in range(2):  # all is replaced
-        report(capsys, *few)
-    (out / "field.png").write_bytes(b"old")
-    left = "got field.png, which would stay beside the new one"
-    assert left in refusal(capsys, "geodesic", *few)
-    eaten = "not replace an input, got distance.ply"
-    assert eaten in refusal(capsys, "geodesic", out / "distance.ply", *few[1:])
-    assert (out / "field.png").read_bytes() == b"old"

@@ -4,12 +4,12 @@ import json
 
 import numpy as np
 import pytest
-from conftest import creature
+from conftest import creature, joined, moved
 from running import printed, record, refusal
 
 from spectra_kit.cli import main
 from spectra_kit.features import HeatKernelSignature, ShapeDNA
-from spectra_kit.geometry import PointCloud, TriangleMesh, sphere, torus, write
+from spectra_kit.geometry import PointCloud, sphere, torus, write
 from spectra_kit.learn import (
     NearestNeighbour,
     PointMLP,
@@ -78,8 +78,7 @@ def test_what_is_left_out_is_told(shapes, tmp_path, capsys):
     write(creature(600), tmp_path / "animal.off")
     write(PointCloud(np.eye(3)), tmp_path / "tiny.xyz")
     ball = sphere(subdivisions=2).geometry
-    faces = np.concatenate([ball.faces, ball.faces + ball.n])
-    write(TriangleMesh(np.concatenate([ball.points, ball.points + 9]), faces), tmp_path / "two.off")
+    write(joined(ball, moved(ball, 9, 9, 9)), tmp_path / "two.off")
     arguments = ("similar", shapes / "ring.ply", tmp_path, "-k", 30, "--json")
     out, err = printed(capsys, *arguments)
     assert "warning: left out: tiny.xyz: " in err

@@ -11,7 +11,7 @@ from running import printed, record, refusal
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
-from spectra_kit.cli import main, match
+from spectra_kit.cli import main
 from spectra_kit.cli.match import doubts_of
 from spectra_kit.geometry import (
     TriangleMesh,
@@ -59,13 +59,13 @@ def refused(capsys, *arguments):
 @pytest.mark.parametrize("copy", ["permuted.off", "mirrored.off"])
 def test_a_copy_gives_the_permutation(files, tmp_path, capsys, copy):
     pair = (files / "animal.off", files / copy, "--truth", files / "order.npy")
-    result = report(capsys, *pair, "-k", 100, "-o", tmp_path / "out")
+    result = report(capsys, *pair, "-k", 60, "-o", tmp_path / "out")
     found, sign = result["match"], -1 if copy == "mirrored.off" else 1
     np.testing.assert_array_equal(
         np.load(tmp_path / "out" / "point_map.npy"), np.load(files / "order.npy")
     )
     assert set(os.listdir(tmp_path / "out")) == FILES
-    assert np.load(tmp_path / "out" / "functional_map.npy").shape == (100, 100)
+    assert np.load(tmp_path / "out" / "functional_map.npy").shape == (60, 60)
     assert found["mean_error"] == found["median_error"] == found["inverse_error"] == 0
     assert found["coverage"] == found["auc_to_10"] == found["share_of_errors_below_5"] == 1
     assert found["point_map_orientation"] == pytest.approx(sign, rel=1e-3)
@@ -157,7 +157,7 @@ def test_points_inside_triangles_are_written_as_a_sparse_matrix(files, tmp_path,
 
 def test_a_part_that_lacks_nothing_covers_all(files, tmp_path, capsys):
     pair, out = (files / "animal.off", files / "permuted.off"), tmp_path / "out"
-    found = report(capsys, *pair, "-k", 40, "--part", "-o", out)["match"]
+    found = report(capsys, *pair, "-k", 40, "--part", "--sides", "kept", "-o", out)["match"]
     assert set(os.listdir(out)) == FILES | {"covered.npy"}
     assert np.load(out / "covered.npy").all()
     np.testing.assert_array_equal(np.load(out / "point_map.npy"), np.load(files / "order.npy"))
@@ -173,7 +173,7 @@ def test_what_the_part_lacks_is_not_covered(files, tmp_path, capsys):
     part = largest_component(TriangleMesh(animal.points, faces))
     write(part.mesh, tmp_path / "part.off")
     pair = (tmp_path / "part.off", files / "animal.off", "--part", "--sides", "kept")
-    text, _ = printed(capsys, "match", *pair, "-k", 40, "-o", out, "--dpi", 30)
+    text, _ = printed(capsys, "match", *pair, "-k", 30, "-o", out, "--dpi", 30)
     assert f"the map: the point of {pair[0]} that each covered point of {pair[1]} is" in text
     covered, kept = np.load(out / "covered.npy"), np.isin(np.arange(600), part.vertex_index)
     assert (covered == kept).mean() > 0.95
@@ -185,7 +185,7 @@ def test_what_the_part_lacks_is_not_covered(files, tmp_path, capsys):
     assert (out / "correspondence.png").is_file()
 
 
-def test_the_demo_draws_its_pictures(tmp_path, capsys, monkeypatch):
+def test_the_demo_draws_its_pictures(tmp_path, capsys):
     folder = tmp_path / "demo"
     command = ("match", "demo", "demo", "--points", 500, "-k", 30, "--dpi", 30, "-o", folder)
     out, _ = printed(capsys, *command)
@@ -196,16 +196,6 @@ def test_the_demo_draws_its_pictures(tmp_path, capsys, monkeypatch):
     assert set(os.listdir(folder)) == FILES | {*pictures} | {"source.npz", "target.npz"}
     for name in os.listdir(folder):
         assert f"written: {folder / name}" in out
-
-    def interrupted(*_, **__):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(match, "plot_correspondence", interrupted)
-    assert main([*map(str, command)]) == 130
-    missing = ", ".join(str(folder / name) for name in pictures)
-    kept = f"the numbers in {folder} are whole, but not drawn: {missing}"
-    assert capsys.readouterr().err == f"{kept}\ninterrupted\n"
-    assert set(os.listdir(folder)) == FILES | {"source.npz", "target.npz"}
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,14 +23,22 @@ from spectra_kit.neo import NeoConfig, build_network
 from spectra_kit.neo.pretrained import load_pretrained, save_weights
 from spectra_kit.neo.train import checkpoint
 
+BALL = sphere(subdivisions=1).geometry
+
+
+def _written(write: Callable[[Path], object]) -> dict[str, bytes]:
+    """What the files of a folder hold, by their names, once something was written into it."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        write(folder)
+        files = [path for path in folder.rglob("*") if path.is_file()]
+        return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
 
 @cache
 def _spectrum() -> tuple[Spectrum, bytes]:
-    spectrum = eigensolve(robust_laplacian(sphere(subdivisions=1).geometry), 5)
-    with TemporaryDirectory() as folder:
-        path = Path(folder, "modes.npz")
-        spectrum.save(path)
-        return spectrum, path.read_bytes()
+    spectrum = eigensolve(robust_laplacian(BALL), 5)
+    return spectrum, _written(lambda folder: spectrum.save(folder / "modes.npz"))["modes.npz"]
 
 
 @part()
@@ -78,6 +87,13 @@ def _compare(back: Spectrum, spectrum: Spectrum) -> None:
     assert repr(back.provenance) == repr(spectrum.provenance)
 
 
+def _edited(rng: np.random.Generator, tree: dict[str, Any]) -> dict[str, Any]:
+    """Change one to three fields of what has a checksum; return it, to be sealed again."""
+    for _ in range(rng.integers(1, 4)):
+        _edit(rng, tree)
+    return {"sha256": BLANK, **{key: value for key, value in tree.items() if key != "sha256"}}
+
+
 def _edit(rng: np.random.Generator, tree: dict[str, Any]) -> None:
     """Change one field of nested ones to something else."""
     key = list(tree)[rng.integers(len(tree))]
@@ -100,10 +116,8 @@ def _weights() -> tuple[dict[str, torch.Tensor], dict[str, Any], bytes]:
     torch.manual_seed(0)
     config = NeoConfig(width=8, depth=1, heads=2, head_width=4, latents=4, m=8, k=4)
     network, record = build_network(config), {"steps": 3, "history": [0.5, 0.25]}
-    with TemporaryDirectory() as folder:
-        path = Path(folder, "w.safetensors")
-        save_weights(path, network, record)
-        return network.state_dict(), record, path.read_bytes()
+    files = _written(lambda folder: save_weights(folder / "w.safetensors", network, record))
+    return network.state_dict(), record, files["w.safetensors"]
 
 
 @part()
@@ -139,9 +153,7 @@ def _checkpoint() -> tuple[dict[str, Any], bytes]:
         "state": {"step": 3, "losses": [0.1, 0.2]},
         "network": {"a": torch.rand(20, 30, generator=torch.Generator().manual_seed(0))},
     }
-    with TemporaryDirectory() as folder:
-        checkpoint.write(Path(folder), content)
-        return content, Path(folder, checkpoint.NAME).read_bytes()
+    return content, _written(lambda folder: checkpoint.write(folder, content))[checkpoint.NAME]
 
 
 @part()
@@ -165,7 +177,7 @@ def _store() -> tuple[dict[str, bytes], ShapeRecord]:
         store = SpectrumStore(Path(folder, "store"))
         records = []
         for name in ("a", "b"):
-            write(sphere(subdivisions=1).geometry, Path(folder, f"{name}.off"))
+            write(BALL, Path(folder, f"{name}.off"))
             records.append(complete(store, name, Path(folder, f"{name}.off"), _PLAN).record)
         store.keep_map(records[0].spectrum, "0" * 32, {"k": 5}, {"point_map": np.arange(42)})
         entries = {
@@ -181,7 +193,7 @@ def _unpacked(folder: Path) -> SpectrumStore:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)
     for name in ("a", "b"):
-        write(sphere(subdivisions=1).geometry, folder / f"{name}.off")
+        write(BALL, folder / f"{name}.off")
     return store
 
 
@@ -231,10 +243,7 @@ def test_edited_store_record(case: Case) -> None:
     """Fields that somebody changed, checksum and all, are refused or can be worked with."""
     store = _unpacked(case.folder)
     path = next(store.entries("records")).path
-    content = json.loads(path.read_text())
-    for _ in range(case.rng.integers(1, 4)):
-        _edit(case.rng, content)
-    content = {"sha256": BLANK, **{k: v for k, v in content.items() if k != "sha256"}}
+    content = _edited(case.rng, json.loads(path.read_text()))
     path.write_bytes(sealed(json.dumps(content).encode()))
     for record in store.records():
         repr(record)
@@ -250,42 +259,39 @@ def test_edited_store_record(case: Case) -> None:
 @cache
 def _learned() -> dict[str, tuple[bytes, Any]]:
     """Files of a segmenter, a classifier and an index, and what each tells of a ball."""
-    ball, ring = sphere(subdivisions=2).geometry, torus(n=400).geometry
+    ring = torus(n=200).geometry
     dna = learn.Recipe(embeddings=(ShapeDNA(count=8),), k=16)
     upright = learn.Recipe(embeddings=(Coordinates(),), upright=True)
     found = {
         "segmenter": learn.train_segmenter(
-            [ball],
-            [(ball.points[:, 2] > 0).astype(int)],
+            [BALL],
+            [(BALL.points[:, 2] > 0).astype(int)],
             recipe=upright,
             method=learn.PointMLP(width=8),
             training=learn.Training(epochs=2),
         ),
         "classifier": learn.train_classifier(
-            [ball, ring], [0, 1], recipe=dna, method=learn.NearestNeighbour()
+            [BALL, ring], [0, 1], recipe=dna, method=learn.NearestNeighbour()
         ),
     }
     with TemporaryDirectory() as folder:
         for name, labeller in found.items():
             learn.save_labeller(Path(folder, name), labeller)
-        for name, shape in (("ball", ball), ("ring", ring)):
+        for name, shape in (("ball", BALL), ("ring", ring)):
             write(shape, Path(folder, f"{name}.off"))
         learn.index_folder(folder, dna).save(Path(folder, "index"))
-        names = ("segmenter", "classifier", "index")
-        return {
-            name: (Path(folder, name).read_bytes(), _told(Path(folder, name))) for name in names
-        }
+        paths = [Path(folder, name) for name in ("segmenter", "classifier", "index")]
+        return {path.name: (path.read_bytes(), _told(path)) for path in paths}
 
 
 def _told(path: Path) -> Any:
     """What a file of learning says of a ball."""
-    ball = sphere(subdivisions=2).geometry
     if path.name == "index":
-        return learn.ShapeIndex.load(path).nearest(ball)
+        return learn.ShapeIndex.load(path).nearest(BALL)
     labeller = learn.load_labeller(path)
     if isinstance(labeller, learn.Segmenter):
-        return labeller.segment(ball).scores.tolist()
-    return labeller.classify(ball).scores.tolist()
+        return labeller.segment(BALL).scores.tolist()
+    return labeller.classify(BALL).scores.tolist()
 
 
 def _learned_file(case: Case) -> tuple[Path, bytes, Any]:
@@ -306,10 +312,7 @@ def test_edited_labeller_or_index(case: Case) -> None:
     path, data, _ = _learned_file(case)
     start = 8 + int.from_bytes(data[:8], "little")
     header = json.loads(data[8:start])
-    content = json.loads(header["__metadata__"]["spectra_kit.learning"])
-    for _ in range(case.rng.integers(1, 4)):
-        _edit(case.rng, content)
-    content = {"sha256": BLANK, **{k: v for k, v in content.items() if k != "sha256"}}
+    content = _edited(case.rng, json.loads(header["__metadata__"]["spectra_kit.learning"]))
     header["__metadata__"]["spectra_kit.learning"] = json.dumps(content)
     text = json.dumps(header).encode()
     text += b" " * (-len(text) % 8)

@@ -89,6 +89,13 @@ def test_nothing_else_is_imported_by_a_string() -> None:
     assert found == BY_NAME
 
 
+def test_the_front_door_is_for_the_command_line_alone() -> None:
+    """What lies behind it cannot be seen here; the command line may use all rooms."""
+    through = re.compile(r"^ *import spectra_kit( as \w+)?$", re.MULTILINE)
+    rooms = {dotted(path).split(".")[0] for path in FILES if through.search(path.read_text())}
+    assert rooms == {"cli"}
+
+
 def test_the_check_sees_an_upward_import() -> None:
     assert imports("from spectra_kit.show import plot_modes") == {"show"}
     assert imports("def f():\n    from spectra_kit.neo import train") == {"neo.train"}
