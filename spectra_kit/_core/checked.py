@@ -17,7 +17,7 @@ from difflib import get_close_matches
 from functools import wraps
 from itertools import chain, repeat
 from types import UnionType
-from typing import Annotated, Any, Literal, NamedTuple, NewType, TypeVar, cast
+from typing import Annotated, Any, Literal, NewType, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -107,14 +107,6 @@ class _Kind:
         return _with_article(_listed(self.words)) if self.article else _listed(self.words)
 
 
-class _Signature(NamedTuple):
-    positional: list[str]
-    rest: str  # of ``*args``
-    by_name: list[str]  # alone
-    names: list[str]  # all, if no others are taken
-    kinds: dict[str, _Kind]
-
-
 class _Torch:
     """Stands for torch in annotations: it is imported only where something is computed with it."""
 
@@ -123,10 +115,15 @@ class _Torch:
     device = NewType("device", object)
 
 
+_Signature = tuple[list[str], str, list[str], list[str], dict[str, _Kind]]
 _LATE = {"torch": _Torch, "Figure": Any}  # Matplotlib's, imported where something is drawn
 
 
 def _signature(function: Callable[..., Any]) -> _Signature:
+    """Return names of positional arguments, of ``*args``, of those by name alone; all; and kinds.
+
+    There is no list of all names where others are taken, too.
+    """
     parameters = inspect.signature(function).parameters.values()
     hints = typing.get_type_hints(function, localns=_LATE, include_extras=True)
     # NaN is no number to compute with, but a record may hold it, where there is nothing to tell.
@@ -139,7 +136,7 @@ def _signature(function: Callable[..., Any]) -> _Signature:
     def names(kind: Any) -> list[str]:
         return [p.name for p in parameters if p.kind is kind]
 
-    return _Signature(
+    return (
         names(inspect.Parameter.POSITIONAL_OR_KEYWORD),
         "".join(names(inspect.Parameter.VAR_POSITIONAL)),
         names(inspect.Parameter.KEYWORD_ONLY),

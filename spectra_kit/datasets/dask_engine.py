@@ -116,8 +116,15 @@ class DaskEngine:
 
     def __call__(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | BaseException]]:
         """Hand the tasks out, and yield results as they come."""
-        with self._client() as client, _telling_of_its_end():
-            yield from _spread(client, tasks)
+        distributed: Any = optional("distributed", extra="batch", needed_by="a run with workers")
+        with self._client() as client:
+            try:
+                yield from _spread(client, tasks)
+            except (OSError, distributed.client.ClosedClientError) as error:  # as Dask notices it
+                raise EngineLostError(
+                    "the scheduler was lost",
+                    advice="what is done is kept; the same command goes on with what is not",
+                ) from error
 
     @property
     def _elsewhere(self) -> bool:
@@ -196,19 +203,6 @@ def _idle() -> int:
     with single_threaded():
         eigensolve(robust_laplacian(sphere(subdivisions=2).geometry), 4)
     return int(psutil.Process().memory_info().rss)
-
-
-@contextmanager
-def _telling_of_its_end() -> Iterator[None]:
-    """Tell that the scheduler was lost, however Dask has noticed."""
-    distributed: Any = optional("distributed", extra="batch", needed_by="a run with workers")
-    try:
-        yield
-    except (OSError, distributed.client.ClosedClientError) as error:
-        raise EngineLostError(
-            "the scheduler was lost",
-            advice="what is done is kept; the same command goes on with what is not",
-        ) from error
 
 
 def _spread(client: Any, tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | BaseException]]:

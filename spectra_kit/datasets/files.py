@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -260,28 +260,20 @@ def write(path: Path, facts: Mapping[str, object], **arrays: NDArray[Any]) -> No
     write_arrays(path, header, arrays)
 
 
-def read(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Return the header and the arrays of an entry."""
-    return read_arrays(path, "entry of a store", lambda header: header["arrays"], remedy=REMEDY)
+def read(
+    path: Path, *, whole: bool = True, named: bool = True
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return what an entry follows from, by which it is `named`, and as a `whole` its arrays."""
 
+    def choose(header: dict[str, Any]) -> Iterable[str]:
+        return header["arrays"] if whole else ()
 
-def read_named(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Return what an entry follows from, by which it is named, and its arrays."""
-    header, arrays = read(path)
-    return _facts_of(path, header), arrays
-
-
-def read_facts(path: Path) -> dict[str, Any]:
-    """Return what an entry follows from, by which it is named, without its arrays."""
-    header, _ = read_arrays(path, "entry of a store", lambda _: (), remedy=REMEDY)
-    return _facts_of(path, header)
-
-
-def _facts_of(path: Path, header: Mapping[str, Any]) -> dict[str, Any]:
+    header, arrays = read_arrays(path, "entry of a store", choose, remedy=REMEDY)
     with parsing(path, "entry of a store", remedy=REMEDY):
         facts = dict(header["facts"])
-        _check_name(path, facts)
-    return facts
+        if named:
+            _check_name(path, facts)
+    return facts, arrays
 
 
 def _check_name(path: Path, facts: Mapping[str, object]) -> None:

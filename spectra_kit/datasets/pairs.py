@@ -80,8 +80,12 @@ class Matching:
 
     def key(self, source: ShapeRecord, target: ShapeRecord) -> str:
         """Return the hash of all that a map between two shapes follows from, for `load_match`."""
-        how = how_of(self, source, target)
-        return facts_digest(map_facts(source.spectrum, target.spectrum, how))
+        return facts_digest(map_facts(source.spectrum, target.spectrum, self._how(source, target)))
+
+    def _how(self, source: ShapeRecord, target: ShapeRecord) -> dict[str, object]:
+        """What a map follows from beside its ends: modes that are not there decide nothing."""
+        there = min(int(str(one.facts["k"])) for one in (source, target))
+        return {**asdict(self), "k": min(self.k, there)}
 
 
 @checked
@@ -110,19 +114,12 @@ def match_all(
     matching : Matching
         How they are matched.
     engine, strict, progress
-        As of `compute_all`.
+        As of `compute_all`, and with the same errors.
 
     Returns
     -------
     BatchReport
         Results and failures. The maps themselves are in the store: `load_match`.
-
-    Raises
-    ------
-    StoreError
-        If the store cannot be written: no other map could be kept either.
-    SpectraKitError
-        Of the first pair that fails, if it is `strict`; if the engine is lost.
 
     Notes
     -----
@@ -173,10 +170,9 @@ def match_records(
     records: Mapping[str, ShapeRecord],
     *,
     matching: Matching,
-    engine: Engine | None,
-    strict: bool,
-    progress: Progress | None,
     together: Together | None = None,
+    strict: bool = False,
+    **options: Any,
 ) -> BatchReport[Pair, MapRecord]:
     """Match pairs of which `records` tell what the store holds: see `match_all`."""
     refuse_twice("pairs", [repr((pair.source, pair.target)) for pair in pairs])
@@ -197,7 +193,7 @@ def match_records(
     def order(todo: list[int]) -> list[int]:
         return in_tiles(pairs, todo, list if strict else own_order)
 
-    return run("pairs", pairs, look, order, engine=engine, strict=strict, progress=progress)
+    return run("pairs", pairs, look, order, strict=strict, **options)
 
 
 def in_tiles(
@@ -273,18 +269,6 @@ def load_match(store: SpectrumStore, key: str) -> Match | None:
     -------
     Match or None
         The very numbers; None where there is none.
-
-    Raises
-    ------
-    InvalidFileError
-        If the entry is damaged.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> import spectra_kit as sk
-    >>> sk.datasets.load_match(sk.datasets.SpectrumStore(tempfile.mkdtemp()), "0" * 32) is None
-    True
     """
     found = store.load_map(key)
     if found is None:
@@ -293,12 +277,6 @@ def load_match(store: SpectrumStore, key: str) -> Match | None:
     if "options" not in facts["how"]:
         raise InvalidInputError("key", "be that of a match", repr(key))
     return _restored(arrays)
-
-
-def how_of(matching: Matching, source: ShapeRecord, target: ShapeRecord) -> dict[str, object]:
-    """Return what a map follows from beside its ends; modes that are not there do not matter."""
-    there = min(int(str(one.facts["k"])) for one in (source, target))
-    return {**asdict(matching), "k": min(matching.k, there)}
 
 
 def matched(
@@ -314,7 +292,7 @@ def matched(
     `complete`.
     """
     start, replaced = time.perf_counter(), tuple[str, ...]()
-    how = how_of(matching, source, target) | ({"among": together.among} if together else {})
+    how = matching._how(source, target) | ({"among": together.among} if together else {})
     key = facts_digest(map_facts(source.spectrum, target.spectrum, how))
     try:
         found = load_match(store, key)

@@ -169,20 +169,32 @@ def run(
     """
     clock = Clock()
     found: list[Any] = []
-    todo: list[int] = []
+    places: dict[int, int] = {}  # of the jobs, by their identity
     for i, one in enumerate(things):
         found.append(look(one))
         if isinstance(found[i], Job):
-            todo.append(i)
+            places[id(found[i])] = i
         elif strict and isinstance(found[i], Exception):
             raise found[i]
         elif progress is not None:
-            progress(len(found) - len(todo), len(things))
-    todo = order(todo)
-    jobs, before = [found[i] for i in todo], len(things) - len(todo)
-    results = work(jobs, engine=engine, strict=strict, progress=progress, before=before)
-    for i, result in zip(todo, results, strict=True):
-        found[i] = result
+            progress(len(found) - len(places), len(things))
+    done, jobs = len(things) - len(places), [found[i] for i in order([*places.values()])]
+    results = (engine or in_this_process)(jobs) if jobs else iter(())  # no engine for nothing
+    if not isinstance(results, Iterable):
+        raise InvalidInputError("engine", "return tasks with their results", repr(results))
+    try:
+        for job, result in results:
+            if isinstance(result, BaseException) and (
+                strict or not isinstance(result, Exception) or isinstance(result, StoreError)
+            ):
+                raise result
+            found[places[id(job)]] = result
+            done += 1
+            if progress is not None:
+                progress(done, len(things))
+    finally:
+        if isinstance(results, Generator):
+            results.close()  # workers end now, not when somebody collects what is left of them
     told: list[tuple[Any, Any]] = [*zip(things, found, strict=True)]
     return BatchReport(
         of=of,
@@ -199,39 +211,6 @@ def own_order(things: Sequence[Thing]) -> list[Thing]:
     """
     own = random.Random(f"{socket.gethostname()} {os.getpid()}")
     return own.sample(things, len(things))
-
-
-def work(
-    tasks: Sequence[Task],
-    *,
-    engine: Engine | None,
-    strict: bool,
-    progress: Progress | None,
-    before: int = 0,
-) -> list[Any | Exception]:
-    """Return what came of each task, or what it raised.
-
-    So many other things were done `before`. Without a task no engine is begun.
-    """
-    if not tasks:
-        return []
-    found, places = dict[int, Any](), {id(task): i for i, task in enumerate(tasks)}
-    results = (engine or in_this_process)(tasks)
-    if not isinstance(results, Iterable):
-        raise InvalidInputError("engine", "return tasks with their results", repr(results))
-    try:
-        for task, result in results:
-            if isinstance(result, BaseException) and (
-                strict or not isinstance(result, Exception) or isinstance(result, StoreError)
-            ):
-                raise result
-            found[places[id(task)]] = result
-            if progress is not None:
-                progress(before + len(found), before + len(tasks))
-    finally:
-        if isinstance(results, Generator):
-            results.close()  # workers end now, not when somebody collects what is left of them
-    return [found[i] for i in range(len(tasks))]
 
 
 def in_this_process(

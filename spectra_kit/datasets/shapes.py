@@ -7,10 +7,10 @@ import os
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.fingerprint import shape_digest
@@ -38,7 +38,6 @@ from spectra_kit.geometry import Geometry, TriangleMesh, diagnose, read, without
 from spectra_kit.geometry.formats.gltf import buffer_files
 from spectra_kit.operators import Laplacian
 
-_BLOCK = 1 << 20  # bytes that are hashed at a time
 _ALIKE = 32  # inputs of similar size that stay side by side for a solver that takes several
 #: Points that share a pass of a solver that takes several shapes at once.
 _PASS, _PASS_OF_DEVICE = 4096, 65536
@@ -164,27 +163,7 @@ def complete(
     Returns
     -------
     Completed
-        Keys and numbers.
-
-    Raises
-    ------
-    StoreError
-        If the store cannot be written.
-    SpectraKitError
-        As of `geometry.read`, `Plan` and `eigensolve`; nothing is recorded for the name then.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> import spectra_kit as sk
-    >>> folder = Path(tempfile.mkdtemp())
-    >>> sk.geometry.write(sk.geometry.creature(600), folder / "animal.off")
-    >>> store, plan = sk.datasets.SpectrumStore(folder / "store"), sk.datasets.Plan(k=12)
-    >>> sk.datasets.complete(store, "animal", folder / "animal.off", plan).computed
-    True
-    >>> sk.datasets.complete(store, "animal", folder / "animal.off", plan).computed
-    False
+        Keys and numbers. Of a file that fails nothing is recorded.
     """
     return _completed(store, name, Path(file), plan)
 
@@ -195,8 +174,7 @@ def _completed(store: SpectrumStore, name: str, path: Path, plan: Plan) -> Compl
     return finished(store, read_file(store, name, path, plan), plan)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FileRead:
+class FileRead(NamedTuple):
     """A file that was read, and what the store has of it."""
 
     name: str
@@ -224,24 +202,10 @@ def read_file(store: SpectrumStore, name: str, path: Path, plan: Plan) -> FileRe
         is_new = key not in store
         if is_new:
             _check_memory(path, plan, shape.n)
-    return FileRead(
-        name=name,
-        digest=digest,
-        old=old,
-        shape=shape,
-        problems=(*problems, *_passed_over(heard)),
-        is_cut=is_cut,
-        key=key,
-        is_new=is_new,
-        damaged=_damaged(heard),
-        start=start,
-    )
-
-
-def _passed_over(heard: Iterable[SpectraKitWarning]) -> tuple[str, ...]:
-    """Return what reading has told, without the path, which is another on each machine."""
-    told = (one for one in heard if isinstance(one, IgnoredContentWarning))
-    return tuple(str(one).removeprefix(f"{one.where}: ") for one in told)
+    # Without the path, which is another on each machine.
+    passed_over = (one for one in heard if isinstance(one, IgnoredContentWarning))
+    problems += tuple(str(one).removeprefix(f"{one.where}: ") for one in passed_over)
+    return FileRead(name, digest, old, shape, problems, is_cut, key, is_new, _damaged(heard), start)
 
 
 def _damaged(heard: Iterable[SpectraKitWarning]) -> tuple[str, ...]:
@@ -374,8 +338,7 @@ def _digest(path: Path) -> str:
     for part in (path, *(buffer_files(path) if path.suffix.lower() == ".gltf" else ())):
         with part.open("rb") as file:
             found.update(f"{part.stat().st_size} ".encode())  # where one ends and the next begins
-            while block := file.read(_BLOCK):
-                found.update(block)
+            hashlib.file_digest(file, lambda: found)  # adds its blocks
     return found.hexdigest()
 
 
@@ -397,7 +360,7 @@ def begin(
             rest.append(partial(_completed, store, name, path, plan))
         else:
             if one.key in reads:  # of two names of one shape, one is solved for
-                one = replace(one, is_new=False)
+                one = one._replace(is_new=False)
             elif one.is_new:
                 reads[one.key] = one
             points += one.shape.n

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,11 +15,11 @@ from numpy.typing import DTypeLike, NDArray
 from scipy.sparse import csr_array
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.files import parsing
+from spectra_kit._core.files import parsing, temporary_folder
 from spectra_kit._core.fingerprint import facts_digest, shape_digest
 from spectra_kit._core.types import Floats
 from spectra_kit._core.version import VERSION
-from spectra_kit.datasets import files, housekeeping
+from spectra_kit.datasets import files
 from spectra_kit.datasets.files import Damage, Kind, ShapeRecord, StoredEntry
 from spectra_kit.datasets.plan import Descriptor, OperatorName, Plan
 from spectra_kit.eigen import Spectrum, eigensolve
@@ -30,6 +31,7 @@ from spectra_kit.operators import TangentGradient, tangent_gradient
 
 Found = TypeVar("Found")
 _INDICES = ("indptr", "indices")  # of operators, beside the values
+_LEFT = 24 * 3600  # seconds after which what a writer has left was left by one that is gone
 
 
 @checked
@@ -102,7 +104,7 @@ class SpectrumStore:
         path = self._place("spectra", key)
         if not path.exists():
             return None
-        files.read_facts(path)  # that it is the one of this key
+        files.read(path, whole=False)  # that it is the one of this key
         return Spectrum.load(path, mmap=mmap)
 
     def spectrum(self, shape: Geometry, plan: Plan) -> Spectrum:
@@ -110,13 +112,11 @@ class SpectrumStore:
 
         As of `eigensolve`, but without the times in its provenance. An error leaves nothing behind.
         """
-        key = self.key(shape, plan)
-
-        def solved() -> Spectrum:
-            made = eigensolve(plan.laplacian(shape), plan.k, plan.solver)
-            return self.keep_spectrum(shape, plan, made)
-
-        return _known(lambda: self.load(key), solved)
+        known = self._known("spectra", self.key(shape, plan), self.load)
+        if known is not None:
+            return known
+        made = eigensolve(plan.laplacian(shape), plan.k, plan.solver)
+        return self.keep_spectrum(shape, plan, made)
 
     def keep_spectrum(self, shape: Geometry, plan: Plan, made: Spectrum) -> Spectrum:
         """Keep a spectrum that was computed as a plan says, and its shape.
@@ -140,18 +140,13 @@ class SpectrumStore:
         """
         facts = _descriptor_facts(self.key(shape, plan), name)
         key = facts_digest(facts)
-        path = self._place("descriptors", key)
-
-        def known() -> Floats | None:
-            return self.load_descriptor(key) if path.exists() else None
-
-        def described() -> Floats:
-            values = DESCRIPTORS[name](self.spectrum(shape, plan)).astype(plan.precision)
-            with self._new("descriptors", key) as place:
-                files.write(place, facts, values=values)
-            return values
-
-        return _known(known, described)
+        known = self._known("descriptors", key, self.load_descriptor)
+        if known is not None:
+            return known
+        values: Floats = DESCRIPTORS[name](self.spectrum(shape, plan)).astype(plan.precision)
+        with self._new("descriptors", key) as path:
+            files.write(path, facts, values=values)
+        return values
 
     def descriptor_key(self, spectrum: str, name: Descriptor) -> str:
         """Return the hash of all that a signature follows from: a spectrum's key, and a name."""
@@ -160,7 +155,7 @@ class SpectrumStore:
     def load_descriptor(self, key: str) -> Floats:
         """Return the signature of a key: of shape (n, c), or (c,) of ShapeDNA."""
         path = self._place("descriptors", key)
-        _, arrays = files.read_named(path)
+        _, arrays = files.read(path)
         with parsing(path, "signature of a store", remedy=files.REMEDY):
             values: Floats = arrays["values"]
         return values
@@ -169,19 +164,15 @@ class SpectrumStore:
         """Keep an operator of a shape, assembled unless it is there, and return its key."""
         facts = _operator_facts(shape_digest(shape), plan, name)
         key = facts_digest(facts)
-        path = self._place("operators", key)
-
-        def kept() -> str:
-            with self._new("operators", key) as place:
-                files.write(place, facts, **_packed(shape, plan, name))
-            return key
-
-        return _known(lambda: (self.load_operator(key), key)[1] if path.exists() else None, kept)
+        if self._known("operators", key, self.load_operator) is None:
+            with self._new("operators", key) as path:
+                files.write(path, facts, **_packed(shape, plan, name))
+        return key
 
     def load_operator(self, key: str) -> csr_array | TangentGradient:
         """Return the operator of a key: the stiffness; or frames with the gradients in them."""
         path = self._place("operators", key)
-        facts, arrays = files.read_named(path)
+        facts, arrays = files.read(path)
         with parsing(path, "operator of a store", remedy=files.REMEDY):
             if facts["kept"] == "stiffness":
                 return _matrix(arrays, "data")
@@ -201,7 +192,7 @@ class SpectrumStore:
     def shape(self, key: str) -> Geometry:
         """Return the geometry of a key: the very points and faces."""
         path = self._place("shapes", key)
-        _, arrays = files.read(path)
+        _, arrays = files.read(path, named=False)
         with parsing(path, "geometry of a store", remedy=files.REMEDY):
             if "faces" in arrays:
                 shape: Geometry = TriangleMesh(arrays["points"], arrays["faces"])
@@ -243,7 +234,7 @@ class SpectrumStore:
         """
         if not self.has_map(key):
             return None
-        return files.read_named(self._place("maps", key))
+        return files.read(self._place("maps", key))
 
     def record(self, name: str, plan: Plan) -> ShapeRecord | None:
         """Return what is known of a name under a plan, None where that is nothing."""
@@ -306,7 +297,26 @@ class SpectrumStore:
         With `remove` it is taken out, too: whoever needs it computes it again. `progress` is told
         how many entries of how many are read.
         """
-        return housekeeping.verify(self, remove=remove, progress=progress)
+        found, entries = [], list(self.entries())
+        reading: Mapping[Kind, Callable[[str], object]] = {
+            "shapes": self.shape,
+            "spectra": self.load,
+            "descriptors": self.load_descriptor,
+            "operators": self.load_operator,
+            "maps": self.load_map,
+            "records": lambda key: files.read_record(self._place("records", key)),
+        }
+        for i, entry in enumerate(entries):
+            try:
+                reading[entry.kind](entry.key)
+            except InvalidFileError as error:
+                if entry.path.exists():  # others may have taken it out
+                    found.append(Damage(entry.path, str(error.problem)))
+                    if remove:
+                        files.remove(entry.path)
+            if progress is not None:
+                progress(i + 1, len(entries))
+        return found
 
     def clean(self, *, unnamed: bool = False) -> list[Path]:
         """Remove what nothing will ask for again, and return where it was.
@@ -317,12 +327,62 @@ class SpectrumStore:
         of files that have changed since, and those that were asked for without a name (`spectrum`).
         A damaged record stops that, as nobody knows what it has named: `verify` first.
         """
-        return housekeeping.clean(self, unnamed=unnamed)
+        before = _now(Path(self.path)) - _LEFT
+        gone, used, named, kept = list[Path](), set[str](), set[str](), set[str]()
+        # Listed before what they follow from: what a run makes meanwhile is no orphan.
+        maps, descriptors = ([*self.entries(kind)] for kind in ("maps", "descriptors"))
+        for entry in self.entries("records"):
+            try:
+                record = files.read_record(entry.path)
+            except InvalidFileError as error:
+                if unnamed:  # nobody knows what it has named
+                    raise
+                files.warn_of_omission(error)
+                continue
+            if record is None:
+                continue
+            if record.facts["release"] == VERSION:
+                used.add(record.shape)
+                named |= {record.spectrum, *record.operators.values()}
+            else:
+                gone.append(entry.path)
+        for entry, facts in _with_facts(chain(self.entries("spectra"), self.entries("operators"))):
+            wanted = not unnamed or entry.key in named or not _older(entry.path, before)
+            if wanted and facts["release"] == VERSION:
+                used.add(str(facts["shape"]))
+                kept.add(entry.key)
+            else:
+                gone.append(entry.path)
+        for entry, facts in _with_facts(descriptors):
+            if facts["spectrum"] not in kept:
+                gone.append(entry.path)
+        for entry, facts in _with_facts(maps):
+            if facts["release"] != VERSION or not {facts["source"], facts["target"]} <= kept:
+                gone.append(entry.path)
+        for entry in self.entries("shapes"):
+            if entry.key not in used and _older(entry.path, before):
+                gone.append(entry.path)
+        for kind in files.SUFFIX:
+            left = (path for path in files.places(self.path, kind) if path.name.startswith("."))
+            gone += [path for path in left if _older(path, before)]
+        for path in gone:
+            files.remove(path)
+        return gone
 
     # --- files ---
 
     def _place(self, kind: Kind, key: str) -> Path:
         return files.place(self.path, kind, key)
+
+    def _known(self, kind: Kind, key: str, load: Callable[[str], Found | None]) -> Found | None:
+        """Return an entry that is there and whole; that it is damaged is told."""
+        if not self._place(kind, key).exists():
+            return None
+        try:
+            return load(key)
+        except InvalidFileError as error:
+            files.warn_of_damage(error)
+            return None
 
     @contextmanager
     def _new(self, kind: Kind, key: str) -> Iterator[Path]:
@@ -351,14 +411,27 @@ def map_facts(source: str, target: str, how: Mapping[str, object]) -> dict[str, 
     return {"source": source, "target": target, "how": how, "release": VERSION}
 
 
-def _known(known: Callable[[], Found | None], make: Callable[[], Found]) -> Found:
-    """Return what is known, else what is made; also where it is damaged, which is told."""
-    try:
-        found = known()
-    except InvalidFileError as error:
-        files.warn_of_damage(error)
-        found = None
-    return make() if found is None else found
+def _with_facts(entries: Iterable[StoredEntry]) -> Iterator[tuple[StoredEntry, dict[str, Any]]]:
+    """Yield entries with what they follow from, but for those that others take out meanwhile."""
+    for entry in entries:
+        try:
+            facts, _ = files.read(entry.path, whole=False)
+        except InvalidFileError:
+            if entry.path.exists():
+                raise
+        else:
+            yield entry, facts
+
+
+def _now(folder: Path) -> float:
+    """Return the time by the clock that the files of a folder have theirs from: another's maybe."""
+    with files.writing(folder), temporary_folder(folder) as new:
+        return new.stat().st_mtime
+
+
+def _older(path: Path, moment: float) -> bool:
+    state = files.state(path)
+    return state is not None and state.st_mtime < moment
 
 
 # --- operators as arrays ---

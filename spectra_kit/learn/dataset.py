@@ -137,7 +137,12 @@ class StoreDataset(Dataset[ShapeTensors]):
         shape = self.store.shape(entry.shape)
         spectrum = self.store.load(entry.spectrum, mmap=True)
         if spectrum is None:
-            raise _gone("modes")
+            raise InvalidInputError(
+                "store",
+                "hold the modes that its records name",
+                "some are gone",
+                advice="the run that computed them computes them again",
+            )
         eigenvalues, eigenvectors, mass = spectrum.to_torch(dtype=self.dtype)
         faces = shape.faces if isinstance(shape, TriangleMesh) else np.empty((0, 3))
         item = ShapeTensors(
@@ -157,22 +162,18 @@ class StoreDataset(Dataset[ShapeTensors]):
     def _with_operators(
         self, item: ShapeTensors, shape: Geometry, kept: Mapping[str, str]
     ) -> ShapeTensors:
-        if "stiffness" in self.operators:
-            key = kept.get("stiffness")
-            stiffness: Any = (
-                self.store.load_operator(key)
-                if key
-                else laplacian(shape, **self._assembly).stiffness
-            )
-            item = item._replace(stiffness=csr_tensor(stiffness, self.dtype))
-        if "gradient" in self.operators:
-            key = kept.get("gradient")
-            gradient: Any = (
-                self.store.load_operator(key)
-                if key
-                else tangent_gradient(shape, oriented=self.oriented)
-            )
-            frames, x, y = gradient
+        assembled: Mapping[str, Callable[[], Any]] = {
+            "stiffness": lambda: laplacian(shape, **self._assembly).stiffness,
+            "gradient": lambda: tangent_gradient(shape, oriented=self.oriented),
+        }
+        there: dict[str, Any] = {
+            name: self.store.load_operator(kept[name]) if name in kept else assembled[name]()
+            for name in self.operators
+        }
+        if "stiffness" in there:
+            item = item._replace(stiffness=csr_tensor(there["stiffness"], self.dtype))
+        if "gradient" in there:
+            frames, x, y = there["gradient"]
             item = item._replace(
                 frames=self._tensor(frames),
                 gradient_x=csr_tensor(x, self.dtype),
@@ -211,12 +212,3 @@ def _of_one_plan(records: list[ShapeRecord], plan: Plan | None) -> list[ShapeRec
 def _difference(one: Mapping[str, object], other: Mapping[str, object]) -> str:
     names = [name for name in one if one[name] != other.get(name)]
     return ", ".join(f"{name} ({one[name]}, {other.get(name)})" for name in names)
-
-
-def _gone(what: str) -> InvalidInputError:
-    return InvalidInputError(
-        "store",
-        f"hold the {what} that its records name",
-        "some are gone",
-        advice="the run that computed them computes them again",
-    )

@@ -144,17 +144,11 @@ class Segmenter:
     def segment(self, shape: Geometry) -> Segmentation:
         """Tell what part each point of a shape is, and each face of a mesh, in any unit."""
         example, seen = prepared(self.recipe, shape, self.learned.sees)
-        scores = carried(seen, predicted(self.learned, self.recipe, example), shape)
-        return segmentation(scores, shape, self.names)
-
-
-def segmentation(scores: Floats, shape: Geometry, names: tuple[str, ...]) -> Segmentation:
-    """Return the labels that scores (n, classes) of the points of a shape favour."""
-    faces = None
-    if isinstance(shape, TriangleMesh):
-        logarithms = np.log(np.maximum(scores, np.finfo(float).tiny))
-        faces = logarithms[shape.faces].sum(axis=1).argmax(axis=1)
-    return Segmentation(scores.argmax(axis=1), faces, scores, names)
+        scores, faces = carried(seen, predicted(self.learned, self.recipe, example), shape), None
+        if isinstance(shape, TriangleMesh):
+            logarithms = np.log(np.maximum(scores, np.finfo(float).tiny))
+            faces = logarithms[shape.faces].sum(axis=1).argmax(axis=1)
+        return Segmentation(scores.argmax(axis=1), faces, scores, self.names)
 
 
 def carried(seen: Geometry, scores: Floats, shape: Geometry) -> Floats:

@@ -112,11 +112,6 @@ def test_folders_and_broken_links_among_the_files_are_passed_over(folder):
     assert len(index_folder(folder, RECIPE).names) == 5
 
 
-def test_an_index_whose_parts_do_not_fit():
-    with pytest.raises(InvalidInputError, match="`vectors` must have 2 rows"):
-        ShapeIndex(RECIPE, ("a", "b"), ("0", "1"), np.ones((3, 4)))
-
-
 def test_what_cannot_be_embedded_is_named_and_the_rest_goes_on(folder):
     ball = sphere(subdivisions=2).geometry
     two = np.concatenate([ball.points, ball.points + 9])

@@ -4,7 +4,6 @@ import json
 import sys
 import time
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import pytest
@@ -361,17 +360,6 @@ def test_a_network_of_ones_own_is_not_saved(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("cut", [0, 100, -7])
-def test_a_damaged_file_is_refused(shapes, tmp_path, cut):
-    clouds, labels = shapes
-    found = train_classifier(clouds, labels, recipe=DNA, method=NearestNeighbour())
-    path = tmp_path / "a.safetensors"
-    save_labeller(path, found)
-    path.write_bytes(path.read_bytes()[:cut])
-    with pytest.raises(InvalidFileError):
-        load_labeller(path)
-
-
 def rewritten(path, change, *, seal=True):
     """Write a file of learning again with what `change` does to its content and tensors."""
     with safe_open(path, "pt") as file:
@@ -575,14 +563,6 @@ def test_another_length_than_the_heads_is_refused():
         other.classify(BALL)
 
 
-def test_more_neighbours_than_examples():
-    with pytest.raises(InvalidInputError, match="have 3 rows or more, the neighbours, got 2"):
-        train_classifier(
-            [BALL, torus(n=400).geometry], [0, 1], recipe=DNA,
-            method=NearestNeighbour(neighbours=3),
-        )  # fmt: skip
-
-
 def test_some_points_of_shapes_whose_operator_is_seen():
     with pytest.raises(InvalidInputError, match="be None, all points, for a network that sees"):
         train_segmenter(
@@ -676,10 +656,3 @@ def test_what_is_trained_anywhere_labels_on_the_cpu(device):
     assert (known.segment(ball).labels == high).mean() > 0.95
     known.learned.to(device)
     assert (known.segment(ball).labels == high).mean() > 0.95
-
-
-def test_a_device_that_is_not_there():
-    meshes = [sphere(subdivisions=1).geometry, torus(n=100).geometry]
-    recipe, method = Recipe(embeddings=(Coordinates(),)), PointNet(width=8)
-    call = partial(train_classifier, meshes, [0, 1], recipe=recipe, method=method)
-    refused("device", "be one that torch can use here, got 'tpu9'", call, device="tpu9")

@@ -64,6 +64,7 @@ class Call(NamedTuple):
     good: dict[str, Any]
     owner: Any  # the instance of a method
     optional: set[str]  # arguments for which None is a value
+    solvers: set[str]  # arguments that any solver may be
 
 
 def public(module: Any) -> Iterator[tuple[str, Any]]:
@@ -136,14 +137,8 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     )
     found = maps.Match(
         **{"point_map": same, "functional_map": identity, "mirrored": False, "orientation": 1.0},
-        **{
-            "margin": 2.0,
-            "mirror_margin": 2.0,
-            "consistent": 1.0,
-            "coverage": 1.5,
-            "discontinuity": 0.0,
-        },
-        candidates=(candidate,),
+        **{"margin": 2.0, "mirror_margin": 2.0, "consistent": 1.0, "coverage": 1.5},
+        **{"discontinuity": 0.0, "candidates": (candidate,)},
     )
     panel = show.Panel(values=mesh.points[:, 0], limit=1.0)
     map_errors = maps.MapErrors(np.ones(n), same)
@@ -184,28 +179,9 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     instances = (  # whose methods are called, or which are arguments of their kind
         *(mesh, mesh.as_cloud(), laplacian, spectrum, spectrum.provenance, spectrum.certificate),
         *(oriented, triangulation, prepared, heat_geodesics, field, field.poisson, field.heat),
-        *(
-            field.sources,
-            config,
-            network,
-            neo.NeoSubspace(network),
-            candidate,
-            panel,
-            pair,
-            run,
-        ),
-        *(
-            plan,
-            spectra,
-            inputs[0],
-            report,
-            done,
-            done.record,
-            datasets.DaskEngine(scheduler="tcp://127.0.0.1:8786"),
-            pair_of_names,
-            datasets.Matching(),
-            of_map,
-        ),
+        *(field.sources, config, network, neo.NeoSubspace(network), candidate, panel, pair, run),
+        *(plan, spectra, inputs[0], report, done, done.record, pair_of_names, of_map),
+        *(datasets.DaskEngine(scheduler="tcp://127.0.0.1:8786"), datasets.Matching()),
         *(dataset, recipe, classifier, segmenter, index, thumbnail, learn.Training(epochs=1)),
         *(show.View(), sk.RayleighRitz(), sk.Automatic(), given, map_errors),
         geodesics.WithinMemory(),
@@ -327,10 +303,8 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("SpectrumStore.load.key SpectrumStore.descriptor_key.spectrum", done.record.spectrum),
         ("shard.part shard.parts", 1),
         # Pictures.
-        (
-            "plot_correspondence.page plot_correspondences.page plot_distance.page",
-            show.Page(dpi=10),
-        ),
+        ("plot_correspondence.page plot_correspondences.page", show.Page(dpi=10)),
+        ("plot_distance.page", show.Page(dpi=10)),
         ("plot_error_curves.errors", {"a": np.ones(4)}),
         ("fields", {"x": mesh.points[:, 0]}),
         ("pairs", [pair]),
@@ -424,40 +398,14 @@ ALSO = {
     "MatchedPair.point_map": {"number"},  # looked at with its geometries, when drawn
     "plot_spectrum.spectra": {"Spectrum"},
     "check_sources.geometry": {"Laplacian", "Spectrum"},
-    "eigensolve.solver": {"Arpack"},
-    "eigensolve_many.solver": {"Arpack"},
     "eigensolve_many.laplacians": {"array"},
     "to_pyvista.point_arrays": {"Spectrum", "array of b"},
-    "spectrum.solver": {"Arpack"},
-    "eigenvalues.solver": {"Arpack"},
-    "mesh_eigenvalues.solver": {"Arpack"},
     "Surface.given": {"Laplacian", "Spectrum"},
     "surface": {"Laplacian", "Spectrum"},
-    "embed.solver": {"Arpack"},
-    "embed_shape.solver": {"Arpack"},
-    "Recipe.solver": {"Arpack"},
-    # Empty sequences, which are arrays of floats to NumPy.
-    "Match.candidates": {"array"},
-    "Collection.groups": {"array"},
-    "Collection.mirrored": {"array"},
-    "Collection.pairs": {"array"},
     "write_explorer.names": {"array of U"},
-    "Panel.lines": {"array"},
-    "Thumbnail.lines": {"array"},
-    "ShapeIndex.names": {"array"},
-    "ShapeIndex.digests": {"array"},
-    "Problem.remedies": {"array"},
-    "BatchReport.completed": {"array"},
-    "BatchReport.failed": {"array"},
-    "match_all.pairs": {"array"},
     "MapRecord.doubts": {"array of U"},
-    "inputs": {"array"},
     "Completed.replaced": {"array of U"},
-    "Plan.solver": {"Arpack"},
-    "Plan.descriptors": {"array"},
-    "Plan.operators": {"array"},
     "engine": {"function"},
-    "StoreDataset.operators": {"array"},
     "ShapeRecord.problems": {"array of U"},
     "ShapeRecord.warnings": {"array of U"},
 }
@@ -562,7 +510,7 @@ def call_of(name: str) -> Call:
     thing, is_method = surface()[name]
     target = inspect.unwrap(thing.__init__ if inspect.isclass(thing) else thing)
     hints = typing.get_type_hints(target, localns=_LATE)
-    good, optional, function, owner = {}, set(), thing, None
+    good, optional, solvers, function, owner = {}, set(), set(), thing, None
     for p in inspect.signature(thing).parameters.values():
         if p.name == "self" and is_method:
             owner = instances()[name.split(".")[0]]
@@ -571,9 +519,11 @@ def call_of(name: str) -> Call:
         good[p.name] = example_of(name, p, thing, hints.get(p.name))
         if p.default is None or "None" in str(p.annotation):
             optional.add(p.name)
+        if "Eigensolver" in str(p.annotation):
+            solvers.add(p.name)
         if p.kind is p.VAR_POSITIONAL:
             function = partial(_spread, thing, p.name)
-    return Call(name, function, good, owner, optional)
+    return Call(name, function, good, owner, optional, solvers)
 
 
 def _spread(function: Callable[..., Any], name: str, **arguments: Any) -> Any:
@@ -622,7 +572,10 @@ def finite(result: Any, depth: int = 3) -> bool:
 
 def fault(call: Call, argument: str, wrong: Any) -> str:
     """Say what is bad about how a call with one wrong argument ended; nothing if it is fine."""
-    fits = family(wrong) in kinds_of(call, argument)
+    empty = isinstance(wrong, list) and not wrong  # of floats to NumPy, of anything to Python
+    fits = family(wrong) in kinds_of(call, argument) or (
+        empty and isinstance(call.good[argument], list | tuple | np.ndarray)
+    )
     try:
         with warnings.catch_warnings(record=True) as doubts:
             warnings.simplefilter("always", UserWarning)
@@ -648,7 +601,20 @@ def fault(call: Call, argument: str, wrong: Any) -> str:
 def kinds_of(call: Call, argument: str) -> set[str]:
     """Families of values that are right for an argument."""
     also = ALSO.get(f"{call.name}.{argument}", ALSO.get(argument, set()))
-    return {family(call.good[argument])} | also
+    solvers = {"Arpack"} if argument in call.solvers else set()
+    return {family(call.good[argument])} | also | solvers
+
+
+@cache
+def written() -> Path:
+    """A folder with the files that the examples name."""
+    folder = Path(tempfile.mkdtemp())
+    atexit.register(shutil.rmtree, folder)
+    geometry.write(instances()["TriangleMesh"], folder / "mesh.obj")
+    instances()["Spectrum"].save(folder / "spectrum.npz")
+    learn.save_labeller(folder / "labeller.safetensors", instances()["Classifier"])
+    instances()["ShapeIndex"].save(folder / "index.safetensors")
+    return folder
 
 
 @pytest.fixture(autouse=True)
@@ -661,10 +627,8 @@ def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("spectra_kit.show.render.draw_requests", drawn)
     monkeypatch.setattr("matplotlib.figure.Figure", drawn)
-    geometry.write(instances()["TriangleMesh"], "mesh.obj")
-    instances()["Spectrum"].save("spectrum.npz")
-    learn.save_labeller("labeller.safetensors", instances()["Classifier"])
-    instances()["ShapeIndex"].save("index.safetensors")
+    for path in written().iterdir():
+        shutil.copy(path, tmp_path)
 
 
 @pytest.mark.parametrize("name", surface())
