@@ -26,17 +26,14 @@ def setting(tmp_path):
 
 @pytest.mark.slow
 def test_trials_tell_what_happened(setting):
-    told = TRIALS["speed"](setting)
+    here = replace(setting, workers=0)  # one process: what is told is the same, and sooner
+    told = TRIALS["speed"](here)
     assert told["computed"] == [4, 4, 0]
     assert told["failed"] == [0, 0]
     assert told["same bytes"]
-    here = replace(setting, workers=0)  # one process: what is told is the same, and sooner
     told = TRIALS["damaged"](here)
     assert told["found"] == told["of these three"] == told["computed"] == 3
     assert told["as undisturbed"]
-    told = TRIALS["broken"](here)
-    assert (told["broken"], told["named"], told["others that failed"]) == (30, 30, 0)
-    assert told["computed"] == 4
 
 
 def test_stores_that_differ_are_told(tmp_path):

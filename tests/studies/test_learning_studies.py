@@ -37,9 +37,8 @@ def shapes():
 
 
 @pytest.fixture(autouse=True)
-def fewer_modes_and_copies(monkeypatch):
+def fewer_modes(monkeypatch):
     monkeypatch.setattr(segmentation, "K", 24)
-    monkeypatch.setattr(segmentation, "COPIES", 1)
 
 
 def scores_of(labels, classes):
