@@ -118,7 +118,7 @@ def match_shapes(asked: MatchOptions) -> None:
     if is_demo:
         fewer = max(9 * asked.points // 10, 500)
         one, other, truth = sk.geometry.creature_pair(asked.points, fewer, seed=asked.seed)
-        there = tuple(Numbering(np.arange(n), n) for n in (one.n, other.n))
+        there = Numbering(np.arange(one.n), one.n), Numbering(np.arange(other.n), other.n)
     else:
         one, first = load(asked.source, asked, pose=1)
         other, second = load(asked.target, asked, pose=2)
