@@ -6,7 +6,6 @@ import os
 import subprocess
 import sys
 import warnings
-from base64 import b64decode
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -339,19 +338,25 @@ def test_seeds_of_nothing_make_no_other_plan():
 
 def test_a_file_whose_arrays_lie_beside_it_is_read_again_if_these_change(store, tmp_path):
     mesh = creature(520)
-
-    def put(scale):
-        write(moved(mesh, 0, 0, 0, scale=scale), tmp_path / "whole.gltf")
-        tree = json.loads((tmp_path / "whole.gltf").read_text())
-        arrays = tree["buffers"][0]["uri"].partition(",")[2]
-        tree["buffers"][0]["uri"] = "a.bin"
-        (tmp_path / "a.bin").write_bytes(b64decode(arrays))
-        return json.dumps(tree)
-
-    (tmp_path / "a.gltf").write_text(put(1))
+    arrays = mesh.points.astype("<f4").tobytes() + mesh.faces.astype("<u4").tobytes()
+    (tmp_path / "a.bin").write_bytes(arrays)
+    size = 12 * mesh.n
+    views = [{"buffer": 0, "byteLength": size},
+             {"buffer": 0, "byteOffset": size, "byteLength": len(arrays) - size}]  # fmt: skip
+    accessors = [{"bufferView": 0, "componentType": 5126, "count": mesh.n, "type": "VEC3"},
+                 {"bufferView": 1, "componentType": 5125, "count": 3 * len(mesh.faces),
+                  "type": "SCALAR"}]  # fmt: skip
+    tree = {
+        "asset": {"version": "2.0"}, "buffers": [{"uri": "a.bin", "byteLength": len(arrays)}],
+        "bufferViews": views, "accessors": accessors, "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}], "scene": 0,
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+    }  # fmt: skip
+    (tmp_path / "a.gltf").write_text(json.dumps(tree))
     first = complete(store, "a", tmp_path / "a.gltf", PLAN)
     assert not complete(store, "a", tmp_path / "a.gltf", PLAN).computed
-    put(2)
+    doubled = (2 * mesh.points).astype("<f4").tobytes() + arrays[size:]
+    (tmp_path / "a.bin").write_bytes(doubled)
     second = complete(store, "a", tmp_path / "a.gltf", PLAN)
     assert second.computed
     assert second.record.area == pytest.approx(4 * first.record.area)

@@ -433,7 +433,7 @@ def test_its_layers_answer_a_batch_as_each_shape(published, store):
 @torch.no_grad()
 @pytest.mark.parametrize(
     "network",
-    [PointMLP(), PointNet(), DiffusionNet(), Hierarchical(backbone="pointnet++")],
+    [PointMLP(), PointNet(), DiffusionNet(), Hierarchical(backbone="pointnet++", width=16)],
     ids=str,
 )
 def test_networks_take_a_batch_of_a_store_as_it_is(store, network) -> None:
