@@ -35,7 +35,7 @@ matched_together = partial(match_collection, options=QUICK)
 
 
 def prepared(mesh: TriangleMesh) -> Prepared:
-    return prepare(spectrum(mesh, K), mesh, n_samples=300)
+    return prepare(spectrum(mesh, K), mesh)
 
 
 @cache
