@@ -1,7 +1,5 @@
 """The public names, as type checkers see them and `spectra_kit.__getattr__` finds them."""
 
-from . import catalogue as catalogue
-from . import cli as cli
 from . import datasets as datasets
 from . import eigen as eigen
 from . import errors as errors
@@ -17,12 +15,9 @@ from . import show as show
 from .eigen import Arpack as Arpack
 from .eigen import Automatic as Automatic
 from .eigen import Cascade as Cascade
-from .eigen import Certificate as Certificate
 from .eigen import Dense as Dense
 from .eigen import Lanczos as Lanczos
-from .eigen import ModeCount as ModeCount
 from .eigen import Neo as Neo
-from .eigen import Provenance as Provenance
 from .eigen import RayleighRitz as RayleighRitz
 from .eigen import Refined as Refined
 from .eigen import Spectrum as Spectrum
@@ -30,28 +25,9 @@ from .eigen import eigensolve as eigensolve
 from .eigen import eigensolve_many as eigensolve_many
 from .eigen import spectrum as spectrum
 from .eigen import verify as verify
-from .eigen.subspaces import AmbientFourier as AmbientFourier
-from .eigen.subspaces import GivenBasis as GivenBasis
-from .eigen.subspaces import RandomBasis as RandomBasis
-from .eigen.subspaces import Union as Union
-from .errors import ConvergenceError as ConvergenceError
-from .errors import DamagedEntryWarning as DamagedEntryWarning
-from .errors import DoubtfulDistanceWarning as DoubtfulDistanceWarning
-from .errors import DoubtfulMatchWarning as DoubtfulMatchWarning
-from .errors import DoubtfulSpectrumWarning as DoubtfulSpectrumWarning
-from .errors import EngineLostError as EngineLostError
-from .errors import IgnoredContentWarning as IgnoredContentWarning
-from .errors import InvalidFileError as InvalidFileError
 from .errors import InvalidInputError as InvalidInputError
-from .errors import InvalidSpectrumError as InvalidSpectrumError
-from .errors import MissingDependencyError as MissingDependencyError
-from .errors import OutOfMemoryError as OutOfMemoryError
 from .errors import SpectraKitError as SpectraKitError
 from .errors import SpectraKitWarning as SpectraKitWarning
-from .errors import SplitSurfaceWarning as SplitSurfaceWarning
-from .errors import StoreError as StoreError
-from .errors import WeightsError as WeightsError
-from .errors import WorkerError as WorkerError
 from .geodesics import HeatGeodesics as HeatGeodesics
 from .geodesics import geodesic_distance as geodesic_distance
 from .geometry import PointCloud as PointCloud

@@ -25,7 +25,6 @@ import numpy as np
 import pytest
 
 from spectra_kit import (
-    AmbientFourier,
     InvalidInputError,
     Laplacian,
     Spectrum,
@@ -38,6 +37,7 @@ from spectra_kit import (
 )
 from spectra_kit.catalogue import SOLVERS
 from spectra_kit.eigen import Eigensolver
+from spectra_kit.eigen.subspaces import AmbientFourier
 from spectra_kit.geometry import rectangle, sphere, torus
 
 

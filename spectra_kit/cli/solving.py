@@ -65,7 +65,7 @@ def make_solver(name: str, asked: Solver, k: int) -> sk.eigen.Eigensolver:
         if option in known and (value := getattr(asked, option)) is not None
     }
     if name == "fourier":
-        told["subspace"] = sk.AmbientFourier(seed=asked.seed)
+        told["subspace"] = sk.eigen.subspaces.AmbientFourier(seed=asked.seed)
     elif asked.start and (begin := known.keys() & {"subspace", "start"}):
         told[begin.pop()] = _start(asked.start, asked, k)
     return SOLVERS[name](**told)  # type: ignore[no-any-return]
@@ -76,7 +76,7 @@ def _start(name: str, asked: Solver, k: int) -> sk.eigen.subspaces.Subspace:
     if name == "neo":
         return sk.Neo(**{option: getattr(asked, option) for option in NETWORK}).subspace
     if name == "random":
-        return sk.RandomBasis(m=k + max(k // 2, 2 * EXTRA), seed=asked.seed)
+        return sk.eigen.subspaces.RandomBasis(m=k + max(k // 2, 2 * EXTRA), seed=asked.seed)
     from spectra_kit.eigen.base import plane_waves
 
     return dataclasses.replace(plane_waves(k), seed=asked.seed)

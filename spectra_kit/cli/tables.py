@@ -156,7 +156,7 @@ def _size(geometry: Geometry) -> str:
     return f"cloud, {quantity(geometry.n, 'point')}"
 
 
-def certificate_of(spectrum: sk.Spectrum) -> sk.Certificate:
+def certificate_of(spectrum: sk.Spectrum) -> sk.eigen.Certificate:
     """Return what is known of the errors."""
     assert spectrum.certificate is not None  # who solves or reads one certifies it
     return spectrum.certificate

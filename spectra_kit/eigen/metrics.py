@@ -170,7 +170,8 @@ def subspace_span_error(
 
     Examples
     --------
-    >>> from spectra_kit import AmbientFourier, RayleighRitz, eigensolve, robust_laplacian
+    >>> from spectra_kit import RayleighRitz, eigensolve, robust_laplacian
+    >>> from spectra_kit.eigen.subspaces import AmbientFourier
     >>> from spectra_kit.geometry import creature
     >>> from spectra_kit.eigen.metrics import subspace_span_error
     >>> laplacian, subspace = robust_laplacian(creature(1000)), AmbientFourier(m=200, bandwidth=5.0)

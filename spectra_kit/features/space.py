@@ -204,7 +204,8 @@ class BasisFunctions(_OfSpace):
     Examples
     --------
     >>> import spectra_kit as sk
-    >>> cloud, waves = sk.geometry.creature(800), sk.AmbientFourier(m=44, bandwidth=7.0)
+    >>> cloud = sk.geometry.creature(800)
+    >>> waves = sk.eigen.subspaces.AmbientFourier(m=44, bandwidth=7.0)
     >>> sk.features.embed(cloud, sk.features.BasisFunctions(subspace=waves)).shape
     (800, 40)
     >>> sk.features.embed(cloud, sk.features.BasisFunctions(subspace=sk.Neo().subspace)).shape

@@ -180,7 +180,7 @@ def _sampled(source: Prepared, target: Prepared, mirrored: bool) -> _Samples:
     forms2 = (-forms2 if mirrored else forms2) / scale
     both = curvatures(source, target) or [np.empty((side.spectrum.n, 0)) for side, _ in sides]
     curved = [bent[chosen, :_CURVATURES] for bent, (_, chosen) in zip(both, sides, strict=True)]
-    return _Samples(scale, *rows, forms1, forms2, *curved)
+    return _Samples(scale, rows[0], rows[1], forms1, forms2, curved[0], curved[1])
 
 
 def _pairs(m: int) -> tuple[Ints, Ints]:

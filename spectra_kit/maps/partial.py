@@ -123,7 +123,7 @@ def match_part(
             raise InvalidInputError(name, "be prepared of a mesh", got, advice=advice)
     k = min(check_count("k", k, low=LOWEST_K), part.spectrum.k, whole.spectrum.k)
     if not len(part.surface.mesh.boundary_vertices):
-        usual = matched(*sides, LastSteps(k), mirrored, options)
+        usual = matched(sides[0], sides[1], LastSteps(k), mirrored, options)
         return replace(usual, covered=np.ones(whole.spectrum.n, dtype=bool))
     ways = (False, True) if mirrored is None else (mirrored,)
     search = _PartSearch(part, whole, min(REFINED_K, k), options)

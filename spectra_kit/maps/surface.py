@@ -66,7 +66,7 @@ class Surface(Rebuilt):
         What no way leads to, as single points of a cloud, counts as the farthest.
         """
         ways = dijkstra(edge_graph(self.mesh), directed=False, indices=points)
-        return np.minimum(ways, ways[np.isfinite(ways)].max())
+        return np.asarray(np.minimum(ways, ways[np.isfinite(ways)].max()))
 
     @cached_property
     def spacing(self) -> float:
@@ -76,7 +76,7 @@ class Surface(Rebuilt):
 
 def lengths_of(points: Floats, edges: Ints) -> Floats:
     """Return the lengths of edges (e, 2) between points (n, 3)."""
-    return np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+    return np.asarray(np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1))
 
 
 def changed(source: Floats, target: Floats, back: Ints, forth: Ints) -> float:
@@ -110,14 +110,14 @@ def outward_normals(points: Floats, oriented: OrientedTriangles) -> Floats:
     i, j, k = oriented.faces.T
     across = np.cross(points[j] - points[i], points[k] - points[i]) * oriented.weights[:, None]
     corners, n = oriented.faces.ravel(), len(points)
-    sums = np.column_stack([np.bincount(corners, np.repeat(x, 3), n) for x in across.T])
+    sums: Floats = np.column_stack([np.bincount(corners, np.repeat(x, 3), n) for x in across.T])
     return unit_rows(sums)
 
 
 def unit_rows(rows: Floats) -> Floats:
     """Return rows divided by their lengths; zero stays zero."""
     lengths = np.linalg.norm(rows, axis=1, keepdims=True)
-    return np.divide(rows, lengths, out=np.zeros_like(rows), where=lengths > 0)
+    return np.asarray(np.divide(rows, lengths, out=np.zeros_like(rows), where=lengths > 0))
 
 
 def smoothed_mean_curvature(

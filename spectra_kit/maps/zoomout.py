@@ -98,9 +98,10 @@ def zoomout(
     from spectra_kit._sparse.torch_device import check_device
 
     place = check_device(device)
-    tensors = (torch.tensor(np.array(x), device=place) for x in arrays)
+    A, B, mass, start = (torch.tensor(np.array(x), device=place) for x in arrays)
     solve = partial(torch.linalg.solve_triangular, upper=True)
-    found = _zoom(*tensors, rows, k_final, step, nearest_torch, torch.linalg.qr, solve)
+    find, qr = nearest_torch, torch.linalg.qr
+    found = _zoom(A, B, mass, start, rows, k_final, step, find, qr, solve)
     return Correspondence(*(x.cpu().numpy() for x in found))
 
 

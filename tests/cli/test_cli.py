@@ -9,11 +9,12 @@ import pytest
 from conftest import bumpy, joined, moved, two_parts
 from running import printed, record, refusal, write_shapes
 
-from spectra_kit import AmbientFourier, Cascade, Neo, RandomBasis, RayleighRitz, Refined, Spectrum
+from spectra_kit import Cascade, Neo, RayleighRitz, Refined, Spectrum
 from spectra_kit.catalogue import SOLVERS
 from spectra_kit.cli import main, solving
 from spectra_kit.cli.compare import ritz_subspace
 from spectra_kit.cli.program import parse
+from spectra_kit.eigen.subspaces import AmbientFourier, RandomBasis
 from spectra_kit.errors import InvalidInputError, SpectraKitWarning
 from spectra_kit.geometry import TriangleMesh, sphere, write
 

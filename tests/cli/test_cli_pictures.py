@@ -9,16 +9,10 @@ from conftest import creature
 from PIL import Image
 from running import printed, record
 
-from spectra_kit import (
-    Certificate,
-    Provenance,
-    Spectrum,
-    eigensolve,
-    robust_laplacian,
-    show,
-)
+from spectra_kit import Spectrum, eigensolve, robust_laplacian, show
 from spectra_kit.catalogue import SOLVERS
 from spectra_kit.cli.compare import is_exact, reference_name
+from spectra_kit.eigen import Certificate, Provenance
 from spectra_kit.geometry import rectangle, write
 
 DRAWN = ("--dpi", "40", "-q")

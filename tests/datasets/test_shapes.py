@@ -413,7 +413,9 @@ def test_a_file_that_changed_is_computed_anew_and_one_renamed_is_known(store, tm
 def test_what_a_shape_and_a_solver_were_found_to_be_is_remembered(store, tmp_path):
     open_mesh = TriangleMesh(bumpy().points, bumpy().faces[:-30])
     write(open_mesh, tmp_path / "a.off")
-    plan = Plan(k=12, solver=sk.RayleighRitz(subspace=sk.RandomBasis(m=30)), repair=True)
+    plan = Plan(
+        k=12, solver=sk.RayleighRitz(subspace=sk.eigen.subspaces.RandomBasis(m=30)), repair=True
+    )
     write(open_mesh, tmp_path / "copy.ply")
     first = complete(store, "a", tmp_path / "a.off", plan)
     second = complete(store, "a", tmp_path / "a.off", plan)

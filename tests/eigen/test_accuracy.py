@@ -30,7 +30,9 @@ K = 30
 def test_no_counted_eigenvalue_is_off_by_more(shape, rtol):
     laplacian = sk.robust_laplacian(SHAPES[shape]())
     exact = sk.eigensolve(laplacian, K)
-    found = sk.eigensolve(laplacian, K, sk.Refined(start=sk.AmbientFourier(m=50), rtol=rtol))
+    found = sk.eigensolve(
+        laplacian, K, sk.Refined(start=sk.eigen.subspaces.AmbientFourier(m=50), rtol=rtol)
+    )
     least = np.maximum(exact.eigenvalues, found.certificate.residuals / rtol)
     off = np.abs(found.eigenvalues - exact.eigenvalues) / least
     certificate = found.certificate
@@ -96,7 +98,7 @@ def test_what_one_part_is_off_by_is_told_of_modes_of_another_that_come_before_it
 
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 def test_a_prediction_is_told_nothing_by_its_residuals(animal):
-    waves = sk.RayleighRitz(subspace=sk.AmbientFourier(m=60))
+    waves = sk.RayleighRitz(subspace=sk.eigen.subspaces.AmbientFourier(m=60))
     found = sk.eigensolve(animal, 20, waves)
     assert found.certificate.relative_residuals.max() > 0.1
     assert found.certificate.errors is None
@@ -164,7 +166,7 @@ def test_errors_stay_with_their_modes_when_the_constant_comes_out() -> None:
 
 
 MODES = 24
-ROUGH = sk.RayleighRitz(subspace=sk.AmbientFourier(m=60, bandwidth=2.5))
+ROUGH = sk.RayleighRitz(subspace=sk.eigen.subspaces.AmbientFourier(m=60, bandwidth=2.5))
 
 
 @pytest.fixture(scope="module")
@@ -198,7 +200,7 @@ def test_a_bad_prediction_is_told_where_it_is_asked_for(laplacian, exact):
 
 
 def test_exact_modes_and_good_predictions_are_quiet(laplacian, exact):
-    near = sk.GivenBasis(np.hstack([exact.eigenvectors, np.sin(laplacian.points)]))
+    near = sk.eigen.subspaces.GivenBasis(np.hstack([exact.eigenvectors, np.sin(laplacian.points)]))
     for solver in (sk.Refined(), sk.RayleighRitz(subspace=near)):  # any warning is an error here
         assert verdict(sk.eigensolve(laplacian, MODES, solver)) == ""
     assert exact.certificate.excess is None
@@ -218,7 +220,9 @@ def test_components_and_fixed_points():
         noise = 0.3 * np.random.default_rng(1).standard_normal((laplacian.n, 8))
         noise[laplacian.fixed] = 0
         mixed = exact.eigenvectors + noise * np.abs(exact.eigenvectors).max()
-        spectrum = predicted(laplacian, sk.RayleighRitz(subspace=sk.GivenBasis(mixed)), 8)
+        spectrum = predicted(
+            laplacian, sk.RayleighRitz(subspace=sk.eigen.subspaces.GivenBasis(mixed)), 8
+        )
         excess = spectrum.certificate.excess
         zero = laplacian.kernel_dimension
         true = spectrum.eigenvalues[zero:] / exact.eigenvalues[zero:] - 1

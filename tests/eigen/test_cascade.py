@@ -85,7 +85,9 @@ def test_columns_that_belong_to_the_points():
     """Their rows on the coarsest of three levels are taken."""
     laplacian = sk.robust_laplacian(creature(5000, seed=0))
     exact = sk.eigensolve(laplacian, 20)
-    solver = sk.Cascade(subspace=sk.GivenBasis(exact.eigenvectors), coarsest=300, max_steps=1)
+    solver = sk.Cascade(
+        subspace=sk.eigen.subspaces.GivenBasis(exact.eigenvectors), coarsest=300, max_steps=1
+    )
     assert len(nested(laplacian, 300)) == 2
     assert errors(sk.eigensolve(laplacian, 12, solver), exact).mean() < 1e-3
 
@@ -105,12 +107,12 @@ def test_shapes_thinner_than_the_levels(flat):
 
 def test_a_start_may_be_a_constant():
     laplacian = sk.robust_laplacian(creature(3000, seed=0))
-    one = sk.Cascade(subspace=sk.GivenBasis(np.ones((laplacian.n, 1))))
+    one = sk.Cascade(subspace=sk.eigen.subspaces.GivenBasis(np.ones((laplacian.n, 1))))
     assert sk.eigensolve(laplacian, 1, one).eigenvalues[0] == 0
 
 
 def test_few_points_are_solved_as_they_are(bumpy_laplacian):
-    waves = sk.AmbientFourier(m=60, bandwidth=3.0)
+    waves = sk.eigen.subspaces.AmbientFourier(m=60, bandwidth=3.0)
     given = {"subspace": waves, "coarsest": 400}
     for cascade, whole in (
         (sk.Cascade(**given, max_steps=0), sk.RayleighRitz(subspace=waves)),

@@ -117,7 +117,7 @@ def test_what_cannot_be_completed_is_an_error(bumpy_laplacian, monkeypatch) -> N
     monkeypatch.setattr(run, "Refined", partial(sk.Refined, max_sweeps=1))
     monkeypatch.setattr(sk.Dense, "few", 0)
     with pytest.raises(
-        sk.ConvergenceError, match="at least 10 modes of the lowest 20 were"
+        sk.errors.ConvergenceError, match="at least 10 modes of the lowest 20 were"
     ) as error:
         sk.eigensolve(bumpy_laplacian, 20, Forgetful(*range(5, 15)))
     certificate = error.value.partial.certificate

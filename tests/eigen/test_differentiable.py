@@ -460,7 +460,7 @@ def test_solvers_that_look_at_points_get_them() -> None:
     laplacian = sk.robust_laplacian(mesh)
     _, index, entries, mass = tensors(mesh)
     L = torch.sparse_coo_tensor(index, entries, check_invariants=True)
-    solver = sk.Refined(start=sk.AmbientFourier(m=30))
+    solver = sk.Refined(start=sk.eigen.subspaces.AmbientFourier(m=30))
     for points in (mesh.points, leaf(mesh)):
         values = eigenvalues(L, mass, 5, points=points, solver=solver)
         expected = sk.eigensolve(laplacian, 5, solver).eigenvalues

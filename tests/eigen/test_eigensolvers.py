@@ -89,7 +89,7 @@ def test_second_order() -> None:
     assert np.polyfit([0, -1, -2], np.log2(errors), 1)[0] == pytest.approx(2, abs=0.1)
 
 
-WAVES = sk.AmbientFourier(m=90, bandwidth=4.0)
+WAVES = sk.eigen.subspaces.AmbientFourier(m=90, bandwidth=4.0)
 OTHERWISE = [
     (sk.Arpack(), {"tol": 1e-3, "shift": 1.0, "seed": 1}),
     (sk.Refined(), {"rtol": 1e-3, "guard": 1.0, "seed": 1, "start": WAVES, "degree": 3}),
@@ -191,7 +191,7 @@ class Changed:
     ],
 )
 def test_liars_are_caught(change, message: str, bumpy_laplacian: sk.Laplacian) -> None:
-    with pytest.raises(sk.InvalidSpectrumError, match=message):
+    with pytest.raises(sk.errors.InvalidSpectrumError, match=message):
         sk.eigensolve(bumpy_laplacian, 4, Changed(change))
 
 
@@ -222,7 +222,7 @@ def test_what_matrices_lack(bumpy_laplacian: sk.Laplacian) -> None:
 
 @pytest.mark.parametrize("mesh", [bumpy(), two_parts()])
 def test_no_convergence_keeps_what_converged(mesh: sk.TriangleMesh) -> None:
-    with pytest.raises(sk.ConvergenceError, match="raise max_") as caught:
+    with pytest.raises(sk.errors.ConvergenceError, match="raise max_") as caught:
         sk.eigensolve(sk.robust_laplacian(mesh), 60, sk.Arpack(max_restarts=1))
     partial = caught.value.partial
     assert partial.k > 0
@@ -246,7 +246,7 @@ def test_no_convergence_keeps_the_components_solved_before_and_what_they_cost() 
             return Eigenpairs(values, vectors, {"sweep": 1.0}, 4)
 
     def partial(mesh: sk.TriangleMesh, trusted: int) -> sk.Spectrum | None:
-        with pytest.raises(sk.ConvergenceError, match="too tired") as caught:
+        with pytest.raises(sk.errors.ConvergenceError, match="too tired") as caught:
             sk.eigensolve(sk.robust_laplacian(mesh), 5, Tired(trusted))
         return caught.value.partial
 
@@ -313,14 +313,14 @@ def test_a_larger_prediction_lowers_every_ritz_value() -> None:
     """Of two poses, or joined with plane waves; up to rounding of float32 features."""
     laplacian = sk.robust_laplacian(creature(1500, seed=0))
     exact = sk.eigensolve(laplacian, 40).eigenvalues[1:]
-    waves = sk.AmbientFourier(m=160, bandwidth=6.0)
+    waves = sk.eigen.subspaces.AmbientFourier(m=160, bandwidth=6.0)
     one, two, alone, both = (
         sk.eigensolve(laplacian, 40, solver).eigenvalues[1:]
         for solver in (
             sk.Neo(max_steps=0),
             sk.Neo(max_steps=0, poses=2),
             sk.RayleighRitz(subspace=waves),
-            sk.RayleighRitz(subspace=sk.Union(sk.Neo().subspace, waves)),
+            sk.RayleighRitz(subspace=sk.eigen.subspaces.Union(sk.Neo().subspace, waves)),
         )
     )
     assert (two <= one * (1 + 1e-4)).all()

@@ -149,7 +149,7 @@ EXACT = [
     sk.Refined(degree=6),
 ]
 APPROXIMATE = [
-    sk.RayleighRitz(subspace=sk.AmbientFourier(m=80)),
+    sk.RayleighRitz(subspace=sk.eigen.subspaces.AmbientFourier(m=80)),
     sk.Cascade(coarsest=100),
     sk.Neo(coarsest=100),
 ]
@@ -198,7 +198,11 @@ def test_what_a_failure_hands_over_says_how_much_of_it_converged() -> None:
     """Of the part that failed some modes, of the one before all."""
     parts = side_by_side(SMALL_BALL, scaled(BALL, 0.7))
     with pytest.raises(ConvergenceError, match="reached rtol") as caught:
-        sk.eigensolve(parts, 30, sk.Refined(rtol=1e-10, max_sweeps=3, start=sk.RandomBasis(m=20)))
+        sk.eigensolve(
+            parts,
+            30,
+            sk.Refined(rtol=1e-10, max_sweeps=3, start=sk.eigen.subspaces.RandomBasis(m=20)),
+        )
     partial, relative = caught.value.partial, caught.value.partial.certificate.relative_residuals
     assert partial.k == 30
     assert 0 < caught.value.n_converged == (relative <= 1e-10 * (1 + 1e-6)).sum() < 30
@@ -221,14 +225,14 @@ def test_columns_on_several_parts_give_each_what_they_hold(solver) -> None:
     held = parts.component_labels == parts.component_labels[-1]
     columns = exact.eigenvectors[:, ~exact.eigenvectors[held].any(axis=0)]
     name = "start" if solver is sk.Refined else "subspace"
-    found = sk.eigensolve(parts, 8, solver(**{name: sk.GivenBasis(columns)}))
+    found = sk.eigensolve(parts, 8, solver(**{name: sk.eigen.subspaces.GivenBasis(columns)}))
     assert 8 <= columns.shape[1] < 16
     others = exact.eigenvalues[~exact.eigenvectors[held].any(axis=0)]
     expected = exact.eigenvalues if solver is sk.Refined else others
     assert found.eigenvalues == pytest.approx(expected[:8], rel=1e-9, abs=1e-9)
     if solver is not sk.Refined:
         with pytest.raises(InvalidInputError, match="must span at least"):
-            sk.eigensolve(parts, 40, solver(**{name: sk.GivenBasis(columns)}))
+            sk.eigensolve(parts, 40, solver(**{name: sk.eigen.subspaces.GivenBasis(columns)}))
 
 
 @DOUBTFUL

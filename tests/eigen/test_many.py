@@ -161,7 +161,9 @@ def one_place() -> sk.Laplacian:
 
 
 def few(laplacians: list[sk.Laplacian], k: int = K) -> list[sk.Spectrum]:
-    return eigensolve_many(laplacians, k, sk.RayleighRitz(subspace=sk.AmbientFourier(m=12)))
+    return eigensolve_many(
+        laplacians, k, sk.RayleighRitz(subspace=sk.eigen.subspaces.AmbientFourier(m=12))
+    )
 
 
 @pytest.mark.parametrize(
@@ -185,7 +187,7 @@ def test_an_error_says_which_one_it_is_about(call, message):
 
 
 def test_a_warning_says_which_one_it_is_about():
-    waves = sk.RayleighRitz(subspace=sk.AmbientFourier(m=40))
+    waves = sk.RayleighRitz(subspace=sk.eigen.subspaces.AmbientFourier(m=40))
     with pytest.warns(DoubtfulSpectrumWarning) as caught:
         eigensolve_many(bodies()[:2], K, waves)
     assert [str(one.message).partition(":")[0] for one in caught] == [

@@ -3,9 +3,10 @@ import pytest
 from conftest import joined, two_parts
 from scipy.linalg import block_diag, expm
 
-from spectra_kit import AmbientFourier, GivenBasis, RayleighRitz, eigensolve, robust_laplacian
+from spectra_kit import RayleighRitz, eigensolve, robust_laplacian
 from spectra_kit.eigen import Provenance, Spectrum
 from spectra_kit.eigen.metrics import align_modes, compare_spectra, span_error, subspace_span_error
+from spectra_kit.eigen.subspaces import AmbientFourier, GivenBasis
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import TriangleMesh, sphere
 

@@ -16,10 +16,10 @@ K = 40
 
 
 STARTS = {
-    "waves": sk.AmbientFourier(m=100, bandwidth=4.0),
+    "waves": sk.eigen.subspaces.AmbientFourier(m=100, bandwidth=4.0),
     "network": sk.Neo().subspace,
-    "random": sk.RandomBasis(m=60, seed=3),
-    "too few columns": sk.RandomBasis(m=5),
+    "random": sk.eigen.subspaces.RandomBasis(m=60, seed=3),
+    "too few columns": sk.eigen.subspaces.RandomBasis(m=5),
     "no columns": lambda points, mass: np.empty((len(points), 0)),
     "constants alone": lambda points, mass: np.ones((len(points), 3)),
 }
@@ -47,7 +47,7 @@ def test_modes_that_the_start_lacks_are_found(animal, animal_spectrum, noise, mi
     """Neither silently left out, nor taken for rounding while they come up."""
     columns = np.delete(animal_spectrum.eigenvectors, missing, axis=1)
     columns = columns + noise * np.random.default_rng(0).standard_normal(columns.shape)
-    s = sk.eigensolve(animal, K, sk.Refined(start=sk.GivenBasis(columns)))
+    s = sk.eigensolve(animal, K, sk.Refined(start=sk.eigen.subspaces.GivenBasis(columns)))
     assert s.eigenvalues == pytest.approx(animal_spectrum.eigenvalues[:K], rel=1e-10, abs=1e-10)
 
 
@@ -65,9 +65,9 @@ def test_a_better_start_takes_fewer_sweeps(animal, animal_spectrum) -> None:
     sweeps = [
         sk.eigensolve(animal, K, sk.Refined(start=start)).provenance.iterations
         for start in (
-            sk.GivenBasis(animal_spectrum.eigenvectors),
+            sk.eigen.subspaces.GivenBasis(animal_spectrum.eigenvectors),
             STARTS["network"],
-            sk.RandomBasis(m=60),
+            sk.eigen.subspaces.RandomBasis(m=60),
         )
     ]
     assert sweeps[0] == 1
@@ -77,9 +77,9 @@ def test_a_better_start_takes_fewer_sweeps(animal, animal_spectrum) -> None:
 def test_short_of_the_tolerance(animal) -> None:
     """The error says how many made it and what to change, and carries what there is."""
     with pytest.raises(
-        sk.ConvergenceError, match=r"of 40 modes .*raise max_sweeps, loosen rtol"
+        sk.errors.ConvergenceError, match=r"of 40 modes .*raise max_sweeps, loosen rtol"
     ) as e:
-        sk.eigensolve(animal, K, sk.Refined(start=sk.RandomBasis(), max_sweeps=2))
+        sk.eigensolve(animal, K, sk.Refined(start=sk.eigen.subspaces.RandomBasis(), max_sweeps=2))
     partial = e.value.partial
     assert partial.k == K
     made_it = (partial.certificate.relative_residuals <= 1e-8).sum()
@@ -92,7 +92,9 @@ def test_rounding_is_recognised_however_it_falls(bumpy_laplacian) -> None:
     """Residuals that are rounding fall as often as they rise: that is no progress."""
     exact = sk.eigensolve(bumpy_laplacian, K).eigenvalues
     for seed in range(2):
-        with pytest.raises(sk.ConvergenceError, match="rounding stops the others; loosen") as e:
+        with pytest.raises(
+            sk.errors.ConvergenceError, match="rounding stops the others; loosen"
+        ) as e:
             sk.eigensolve(bumpy_laplacian, K, sk.Refined(rtol=1e-14, seed=seed))
         assert e.value.partial.certificate.relative_residuals.max() < 1e-10
         assert e.value.partial.eigenvalues == pytest.approx(exact, rel=1e-11, abs=1e-11)
@@ -105,7 +107,7 @@ def test_sweeps_converge_at_the_rate_of_chebyshev(animal, animal_spectrum) -> No
         shift_invert_iteration(
             animal.stiffness,
             animal.mass,
-            sk.AmbientFourier(m=60, bandwidth=4.0)(animal.points, animal.mass),
+            sk.eigen.subspaces.AmbientFourier(m=60, bandwidth=4.0)(animal.points, animal.mass),
             K,
             tolerance=np.zeros_like,
             spacing=animal.eigenvalue_spacing,

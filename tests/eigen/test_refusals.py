@@ -13,7 +13,7 @@ from spectra_kit.geometry import creature, sphere
 
 BALL = sk.robust_laplacian(sphere(subdivisions=3).geometry)
 SMALL = sk.robust_laplacian(sphere(subdivisions=1).geometry)
-FEW = sk.AmbientFourier(m=20)
+FEW = sk.eigen.subspaces.AmbientFourier(m=20)
 
 
 def solve(solver: object, k: object = 40, laplacian: sk.Laplacian = BALL) -> sk.Spectrum:
@@ -78,14 +78,14 @@ TABLE = [
     (lambda: sk.Automatic(memory=0), "memory", "be "),
     (lambda: sk.Automatic(seed=-1), "seed", "be "),
     # Subspaces.
-    (lambda: sk.AmbientFourier(m=4), "m", "be at least 5"),
-    (lambda: sk.AmbientFourier(bandwidth=0.0), "bandwidth", "be positive"),
-    (lambda: sk.RandomBasis(m=0), "m", "be at least 1"),
-    (lambda: sk.RandomBasis(seed=-1), "seed", "be at least 0"),
-    (lambda: sk.Union(), "parts", "hold at least one subspace"),
-    (lambda: sk.GivenBasis(np.ones(4)), "columns", "have shape (n, m)"),
+    (lambda: sk.eigen.subspaces.AmbientFourier(m=4), "m", "be at least 5"),
+    (lambda: sk.eigen.subspaces.AmbientFourier(bandwidth=0.0), "bandwidth", "be positive"),
+    (lambda: sk.eigen.subspaces.RandomBasis(m=0), "m", "be at least 1"),
+    (lambda: sk.eigen.subspaces.RandomBasis(seed=-1), "seed", "be at least 0"),
+    (lambda: sk.eigen.subspaces.Union(), "parts", "hold at least one subspace"),
+    (lambda: sk.eigen.subspaces.GivenBasis(np.ones(4)), "columns", "have shape (n, m)"),
     (
-        lambda: solve(sk.Refined(start=sk.GivenBasis(np.ones((10, 4))))),
+        lambda: solve(sk.Refined(start=sk.eigen.subspaces.GivenBasis(np.ones((10, 4))))),
         "columns",
         "have a row for each of 642 points",
     ),

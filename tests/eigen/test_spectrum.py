@@ -13,14 +13,13 @@ from scipy.spatial import cKDTree
 from spectra_kit import (
     Arpack,
     InvalidInputError,
-    InvalidSpectrumError,
     Laplacian,
     Spectrum,
     cotan_laplacian,
     eigensolve,
     robust_laplacian,
 )
-from spectra_kit.errors import IgnoredContentWarning
+from spectra_kit.errors import IgnoredContentWarning, InvalidSpectrumError
 from spectra_kit.geometry import rectangle, sphere
 from spectra_kit.interop import (
     from_arrays,

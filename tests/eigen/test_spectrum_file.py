@@ -8,14 +8,8 @@ import zipfile
 import numpy as np
 import pytest
 
-from spectra_kit import (
-    Certificate,
-    InvalidInputError,
-    ModeCount,
-    Spectrum,
-    eigensolve,
-    verify,
-)
+from spectra_kit import InvalidInputError, Spectrum, eigensolve, verify
+from spectra_kit.eigen import Certificate, ModeCount
 from spectra_kit.errors import InvalidFileError
 
 

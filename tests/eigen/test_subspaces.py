@@ -2,17 +2,10 @@ import numpy as np
 import pytest
 from conftest import bumpy, refused
 
-from spectra_kit import (
-    AmbientFourier,
-    GivenBasis,
-    Refined,
-    Union,
-    eigensolve,
-    robust_laplacian,
-)
+from spectra_kit import Refined, eigensolve, robust_laplacian
 from spectra_kit._sparse import orthonormalize
 from spectra_kit.eigen.metrics import span_error
-from spectra_kit.eigen.subspaces import restricted
+from spectra_kit.eigen.subspaces import AmbientFourier, GivenBasis, Union, restricted
 
 CLOUD = bumpy()
 MASS = robust_laplacian(CLOUD).mass

@@ -135,7 +135,7 @@ def test_dirichlet_modes_are_counted_on_the_free_points() -> None:
 
 
 def test_a_prediction_claims_only_what_holds(bumpy_laplacian) -> None:
-    waves = sk.RayleighRitz(subspace=sk.AmbientFourier(m=200))
+    waves = sk.RayleighRitz(subspace=sk.eigen.subspaces.AmbientFourier(m=200))
     predicted, loose = (
         sk.verify(sk.eigensolve(bumpy_laplacian, 16, solver), bumpy_laplacian).certificate
         for solver in (waves, sk.Refined(rtol=1e-5))

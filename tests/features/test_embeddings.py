@@ -39,7 +39,7 @@ OF_SPACE = [
     Coordinates(),
     Coordinates(frame="principal"),
     PositionalEncoding(levels=3),
-    BasisFunctions(subspace=sk.AmbientFourier(m=16, bandwidth=2.0)),
+    BasisFunctions(subspace=sk.eigen.subspaces.AmbientFourier(m=16, bandwidth=2.0)),
     BasisFunctions(subspace=NeoSubspace(TINY, poses=4)),
     BasisFunctions(subspace=NeoSubspace(TINY), masses=False),
 ]
@@ -230,7 +230,7 @@ def test_positional_encoding_and_plane_waves_are_what_they_say():
     np.testing.assert_allclose(found, [0.25, -0.5, 1.0, *sines, *cosines], atol=1e-6)
     cloud = creature(500).points
     for m in (44, 45):
-        waves = sk.AmbientFourier(m=m, bandwidth=3.0)
+        waves = sk.eigen.subspaces.AmbientFourier(m=m, bandwidth=3.0)
         theirs = waves(cloud, np.ones(500))[:, 4:]
         told = BasisFunctions(subspace=waves)
         ours = embed_batch(torch.tensor(cloud)[None], torch.ones(1, 500), told)
@@ -239,7 +239,7 @@ def test_positional_encoding_and_plane_waves_are_what_they_say():
 
 def test_what_is_no_batch_and_no_option_is_refused():
     points, mass, _ = clouds()
-    waves = BasisFunctions(subspace=sk.AmbientFourier(m=64))
+    waves = BasisFunctions(subspace=sk.eigen.subspaces.AmbientFourier(m=64))
     for wrong, told in (
         ((points[0], mass, waves), r"`points` must have shape \(b, n, 3\), and `mass` \(b, n\)"),
         ((points, mass[:, :5], waves), r"`points` must have shape \(b, n, 3\), and `mass`"),
@@ -255,7 +255,10 @@ def test_what_is_no_batch_and_no_option_is_refused():
         (lambda: WaveKernelSignature(width=0.0), "`width` must be positive"),
         (lambda: GlobalPointSignature(count=0), "`count` must be at least 1"),
         (lambda: PositionalEncoding(levels=0), "`levels` must be at least 1"),
-        (lambda: BasisFunctions(subspace=sk.RandomBasis()), "`subspace` must be of functions"),
+        (
+            lambda: BasisFunctions(subspace=sk.eigen.subspaces.RandomBasis()),
+            "`subspace` must be of functions",
+        ),
     ):
         with pytest.raises(sk.SpectraKitError, match=told):
             make()

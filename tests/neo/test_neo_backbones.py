@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from spectra_kit import MissingDependencyError, Neo, eigensolve
+from spectra_kit import Neo, eigensolve
+from spectra_kit.errors import MissingDependencyError
 from spectra_kit.neo import (
     NeoConfig,
     NeoNetwork,

@@ -8,7 +8,6 @@ from scipy import sparse
 from scipy.spatial import ConvexHull, Delaunay
 
 from spectra_kit import (
-    ConvergenceError,
     Dense,
     Laplacian,
     PointCloud,
@@ -18,7 +17,7 @@ from spectra_kit import (
     knn_laplacian,
     robust_laplacian,
 )
-from spectra_kit.errors import SplitSurfaceWarning
+from spectra_kit.errors import ConvergenceError, SplitSurfaceWarning
 from spectra_kit.geometry import rectangle, sphere, torus
 from spectra_kit.operators import (
     _cover,

@@ -40,8 +40,8 @@ def test_solvers_that_are_not_in_it() -> None:
         return sk.spectrum(bumpy(), 3, solver).provenance.name
 
     assert name(Foreign()) == "foreign"
-    assert name(sk.RayleighRitz(subspace=sk.RandomBasis())) == "rayleighritz"
-    assert sk.Provenance().name == ""
+    assert name(sk.RayleighRitz(subspace=sk.eigen.subspaces.RandomBasis())) == "rayleighritz"
+    assert sk.eigen.Provenance().name == ""
 
 
 def test_the_default_line() -> None:

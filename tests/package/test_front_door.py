@@ -166,5 +166,5 @@ def test_a_problem_shows_what_helps() -> None:
 
 
 def test_a_missing_file_is_said_to_be_missing(tmp_path) -> None:
-    with pytest.raises(sk.InvalidFileError, match="there is no such labeller; looked from"):
+    with pytest.raises(sk.errors.InvalidFileError, match="there is no such labeller; looked from"):
         learn.load_labeller(tmp_path / "nothing.safetensors")

@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spectra_kit import OutOfMemoryError, eigensolve
+from spectra_kit import eigensolve
+from spectra_kit.errors import OutOfMemoryError
 
 STARVED = """
 import json, resource, sys
 import numpy as np
 from scipy import sparse
-from spectra_kit import Laplacian, OutOfMemoryError, Refined, eigensolve, robust_laplacian
+from spectra_kit import Laplacian, Refined, eigensolve, robust_laplacian
+from spectra_kit.errors import OutOfMemoryError
 from spectra_kit.geometry import sphere
 
 small = robust_laplacian(sphere(subdivisions=3).geometry)
@@ -76,7 +78,8 @@ def test_without_a_component_solved_there_is_nothing_to_keep(bumpy_laplacian) ->
 
 SMALL_ROOM = """
 import resource
-from spectra_kit import OutOfMemoryError, delaunay_laplacian, robust_laplacian
+from spectra_kit import delaunay_laplacian, robust_laplacian
+from spectra_kit.errors import OutOfMemoryError
 from spectra_kit.geometry import sphere
 
 delaunay_laplacian(sphere(subdivisions=2).geometry)  # imports, compiles

@@ -78,7 +78,9 @@ def values() -> list[object]:
     spectrum = sk.eigensolve(laplacian, 40)
     prepared = sk.prepare(spectrum, mesh)
     truth = Truth.of_map(np.arange(mesh.n))
-    with pytest.warns(sk.DoubtfulMatchWarning, match="alike"):  # all turns of a ball are right
+    with pytest.warns(
+        sk.errors.DoubtfulMatchWarning, match="alike"
+    ):  # all turns of a ball are right
         found = sk.match(prepared, prepared)
     return [
         mesh,
@@ -99,7 +101,7 @@ def values() -> list[object]:
         found.candidates[0],
         truth,
         map_errors(mesh, found.point_map, truth),
-        sk.GivenBasis(spectrum.eigenvectors),
+        sk.eigen.subspaces.GivenBasis(spectrum.eigenvectors),
         sk.HeatGeodesics(mesh).distance(0),
         sk.intrinsic_delaunay(mesh),
     ]

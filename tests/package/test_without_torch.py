@@ -23,7 +23,7 @@ laplacian = sk.robust_laplacian(pose)
 exact = sk.eigensolve(laplacian, 12, sk.Dense())
 solvers = [
     sk.Arpack(), sk.Refined(), sk.Automatic(), sk.Cascade(coarsest=150),
-    sk.RayleighRitz(subspace=sk.AmbientFourier(m=200)),
+    sk.RayleighRitz(subspace=sk.eigen.subspaces.AmbientFourier(m=200)),
 ]
 for solver in solvers:
     found = sk.eigensolve(laplacian, 12, solver)

@@ -11,16 +11,9 @@ import numpy as np
 import pytest
 from conftest import bumpy
 
-from spectra_kit import (
-    Arpack,
-    Cascade,
-    GivenBasis,
-    RayleighRitz,
-    Spectrum,
-    eigensolve,
-    robust_laplacian,
-)
+from spectra_kit import Arpack, Cascade, RayleighRitz, Spectrum, eigensolve, robust_laplacian
 from spectra_kit.eigen.metrics import align_modes, compare_spectra
+from spectra_kit.eigen.subspaces import GivenBasis
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere
 from spectra_kit.show.contours import triangles_of

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from spectra_kit import Certificate, Spectrum
+from spectra_kit import Spectrum
+from spectra_kit.eigen import Certificate
 from spectra_kit.geometry import sphere
 from spectra_kit.show import View
 from spectra_kit.show.explorer import write_explorer

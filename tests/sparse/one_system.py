@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from spectra_kit import ConvergenceError, delaunay_laplacian, eigensolve
+from spectra_kit import delaunay_laplacian, eigensolve
 from spectra_kit._sparse import CoarseSpace, ConstantKernel, IncompleteCholesky, pcg
+from spectra_kit.errors import ConvergenceError
 from spectra_kit.geometry import creature
 
 

@@ -6,7 +6,7 @@ from conftest import refused
 from one_system import path, stopped
 from scipy import sparse
 
-from spectra_kit import ConvergenceError, InvalidInputError, delaunay_laplacian
+from spectra_kit import InvalidInputError, delaunay_laplacian
 from spectra_kit._sparse import (
     AdditiveTwoLevel,
     CoarseSpace,
@@ -16,6 +16,7 @@ from spectra_kit._sparse import (
     ProjectedTwoLevel,
     pcg,
 )
+from spectra_kit.errors import ConvergenceError
 from spectra_kit.geometry import sphere
 
 RNG = np.random.default_rng(0)

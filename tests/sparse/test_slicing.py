@@ -58,7 +58,9 @@ def test_clusters_wider_than_the_space_of_a_run(monkeypatch, weight: float) -> N
     if weight == 1e-7:
         monkeypatch.setattr(lanczos, "WIDE", 8)
         monkeypatch.setattr(sk.Dense, "few", 0)  # which would go on from there
-        with pytest.raises(sk.ConvergenceError, match=r"more equal eigenvalues .* use Dense"):
+        with pytest.raises(
+            sk.errors.ConvergenceError, match=r"more equal eigenvalues .* use Dense"
+        ):
             sk.eigensolve(laplacian, 100)
 
 
@@ -90,7 +92,7 @@ def test_the_bits_do_not_depend_on_the_number_of_threads(uneven, monkeypatch) ->
 
 
 def test_with_too_few_shifts_the_lowest_modes_are_kept(uneven, exact) -> None:
-    with pytest.raises(sk.ConvergenceError, match="of 400 modes around 1 shift") as caught:
+    with pytest.raises(sk.errors.ConvergenceError, match="of 400 modes around 1 shift") as caught:
         sk.eigensolve(uneven, 400, sk.Lanczos(max_shifts=1))
     partial = caught.value.partial
     assert 40 < partial.k < 400

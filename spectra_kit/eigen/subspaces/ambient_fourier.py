@@ -47,7 +47,7 @@ class AmbientFourier:
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import AmbientFourier
+    >>> from spectra_kit.eigen.subspaces import AmbientFourier
     >>> points = np.random.default_rng(0).standard_normal((100, 3))
     >>> AmbientFourier(m=64)(points, np.ones(100)).shape
     (100, 64)

@@ -44,7 +44,7 @@ class GivenBasis(Rebuilt):
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import GivenBasis
+    >>> from spectra_kit.eigen.subspaces import GivenBasis
     >>> GivenBasis(np.eye(4))(np.zeros((4, 3)), np.ones(4)).shape
     (4, 4)
     """
@@ -97,7 +97,7 @@ class RandomBasis:
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import RandomBasis
+    >>> from spectra_kit.eigen.subspaces import RandomBasis
     >>> RandomBasis(m=5)(np.zeros((9, 3)), np.ones(9)).shape
     (9, 5)
     """
@@ -127,7 +127,7 @@ class Union:
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import Union
+    >>> from spectra_kit.eigen.subspaces import Union
     >>> from spectra_kit.eigen.subspaces import AmbientFourier
     >>> points = np.random.default_rng(0).standard_normal((50, 3))
     >>> both = Union(AmbientFourier(m=10, seed=0), AmbientFourier(m=12, seed=1))
@@ -184,7 +184,7 @@ def restricted(part: Solver, rows: Ints) -> Solver:
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import GivenBasis
+    >>> from spectra_kit.eigen.subspaces import GivenBasis
     >>> from spectra_kit.eigen.subspaces import restricted
     >>> restricted(GivenBasis(np.eye(4)), np.array([2, 3])).columns.shape
     (2, 4)
