@@ -1,4 +1,3 @@
-from .dask_engine import DaskEngine as DaskEngine
 from .files import Damage as Damage
 from .files import MapRecord as MapRecord
 from .files import ShapeRecord as ShapeRecord
@@ -21,3 +20,4 @@ from .shapes import complete as complete
 from .shapes import compute_all as compute_all
 from .store import SpectrumStore as SpectrumStore
 from .table import write_table as write_table
+from .workers import DaskEngine as DaskEngine

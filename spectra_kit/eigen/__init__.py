@@ -8,6 +8,7 @@ from spectra_kit.eigen.automatic import Automatic
 from spectra_kit.eigen.base import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.eigen.cascade import Cascade
 from spectra_kit.eigen.certificate import Certificate, ModeCount, Provenance
+from spectra_kit.eigen.counting import verify
 from spectra_kit.eigen.dense import Dense
 from spectra_kit.eigen.lanczos import Arpack, Lanczos
 from spectra_kit.eigen.neo import Neo
@@ -15,7 +16,6 @@ from spectra_kit.eigen.rayleigh_ritz import RayleighRitz
 from spectra_kit.eigen.refined import Refined
 from spectra_kit.eigen.solve import eigensolve, eigensolve_many, spectrum
 from spectra_kit.eigen.spectrum import Spectrum
-from spectra_kit.eigen.verification import verify
 
 __all__ = [
     "Arpack",

@@ -28,11 +28,11 @@ from spectra_kit.eigen.accuracy import (
 )
 from spectra_kit.eigen.base import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.eigen.certificate import Certificate, Provenance
+from spectra_kit.eigen.counting import count_modes, verify
 from spectra_kit.eigen.dense import Dense
 from spectra_kit.eigen.refined import Refined
 from spectra_kit.eigen.spectrum import Spectrum, certificate_of
 from spectra_kit.eigen.subspaces.base import GivenBasis, RandomBasis, Union, restricted
-from spectra_kit.eigen.verification import count_modes, verify
 from spectra_kit.errors import (
     ConvergenceError,
     InvalidInputError,

@@ -13,7 +13,7 @@ from spectra_kit._core.types import Bools, Floats, Ints, Ints32
 from spectra_kit._core.validate import quantity
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh, distinct_rows
-from spectra_kit.operators._half_edges import (
+from spectra_kit.operators._edge_flips import (
     ROUNDING,
     cotangent_laplacian,
     flip_in_order,

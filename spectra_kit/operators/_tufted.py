@@ -2,7 +2,7 @@
 
 The library returns matrices and keeps to itself what they are sums over. Where four points are on
 a circle, the order in which it visits the edges tells which triangles it ends with, and so the
-masses. Half-edges are numbered as in `_half_edges`.
+masses. Half-edges are numbered as in `_edge_flips`.
 """
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ def _delaunay(
     mesh: TriangleMesh, unit: float, built: Laplacian, *, by_library: bool
 ) -> DifferentiableLaplacian:
     """Find the triangles of an intrinsic Delaunay Laplacian again, and record the flips."""
-    from spectra_kit.operators import _cover, _half_edges
+    from spectra_kit.operators import _cover, _edge_flips
 
     if by_library:
         sides, unmollified = lengthened_by_component(mesh, _MOLLIFY)
@@ -120,7 +120,7 @@ def _delaunay(
 
     def to_faces(slopes: Floats) -> Floats:
         before, slopes = lengths.copy(), slopes.copy()
-        _half_edges.undo_flips(before.reshape(-1), slopes.reshape(-1), *flips)
+        _edge_flips.undo_flips(before.reshape(-1), slopes.reshape(-1), *flips)
         return unmollified(_cover.folded(slopes, copies))
 
     return DifferentiableLaplacian(
@@ -163,7 +163,7 @@ def sides_in_space(mesh: TriangleMesh) -> Floats:
 
 def lengthened_by_corner(mesh: TriangleMesh, factor: float) -> tuple[Floats, Pullback]:
     """Return the sides as `delaunay_laplacian` has them, and the way back."""
-    from spectra_kit.operators._half_edges import side_lengths  # numba is slow to import
+    from spectra_kit.operators._edge_flips import side_lengths  # numba is slow to import
 
     unit, faces = units_of(mesh), mesh.faces
     scale = unit[faces[:, :1]]

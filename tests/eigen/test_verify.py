@@ -9,7 +9,7 @@ import spectra_kit as sk
 from spectra_kit._sparse import SparseLDL
 from spectra_kit.cli import main
 from spectra_kit.eigen import verify
-from spectra_kit.eigen.verification import _Prover
+from spectra_kit.eigen.counting import _Prover
 from spectra_kit.geometry import rectangle, sphere
 
 

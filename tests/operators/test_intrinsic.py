@@ -23,7 +23,7 @@ from spectra_kit import (
 )
 from spectra_kit.geometry import permuted, sphere
 from spectra_kit.operators import IntrinsicTriangulation, intrinsic_delaunay
-from spectra_kit.operators._half_edges import side_lengths
+from spectra_kit.operators._edge_flips import side_lengths
 
 RNG = np.random.default_rng
 
