@@ -52,6 +52,21 @@ _shown.plots = _plots  # by which geometries, spectra and distances draw themsel
 def __getattr__(name: str) -> _Any:
     if name in __all__:
         return _get(name)
-    near = " or ".join(f"sk.{other}" for other in _near(name, __all__, 2))
-    hint = f"did you mean {near}?" if near else "dir(spectra_kit) lists what it has"
+    if name.startswith("__"):  # asked for by tools, of whatever they meet
+        raise AttributeError(f"spectra_kit has no attribute {name!r}")
+    place = next((room for room in _ROOMS if name in dir(_room(room))), None)
+    near = [f"{place}.{name}"] if place else _near(name, __all__, 2)
+    hint = "dir(spectra_kit) lists what it has"
+    if near:
+        hint = f"did you mean {' or '.join(f'sk.{other}' for other in near)}?"
     raise AttributeError(f"spectra_kit has no attribute {name!r}; {hint}")
+
+
+# Where a name may be that is not here, the quick to import first; none imports torch.
+_ROOMS = ("errors", "eigen.subspaces", "eigen", "operators", "geometry", "geodesics", "features")
+_ROOMS += ("maps", "datasets", "show", "interop")
+
+
+def _room(place: str) -> _Any:
+    first, _, rest = place.partition(".")
+    return getattr(_get(first), rest) if rest else _get(first)

@@ -60,8 +60,14 @@ def test_every_name_is_there() -> None:
     names: dict[str, object] = {}
     exec("from spectra_kit import *", names)
     assert set(dir(sk)) <= set(names)
-    with pytest.raises(AttributeError, match="eigensolver"):
-        sk.eigensolver  # noqa: B018
+    for name, place in {
+        "eigensolver": "eigensolve",
+        "ConvergenceError": "errors.ConvergenceError",
+        "GivenBasis": "eigen.subspaces.GivenBasis",
+        "Plan": "datasets.Plan",
+    }.items():
+        with pytest.raises(AttributeError, match=rf"did you mean sk\.{place}\b"):
+            getattr(sk, name)
     assert "help(sk.eigensolve)" in pydoc.render_doc(sk)[:3000]
 
 
