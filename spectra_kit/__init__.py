@@ -26,6 +26,7 @@ spectrum in one line, too: ``sk.spectrum("bunny.obj", 50)``.
 """
 
 from difflib import get_close_matches as _near
+from importlib.util import find_spec as _find_spec
 from typing import Any as _Any
 
 import lazy_loader
@@ -52,8 +53,9 @@ _shown.plots = _plots  # by which geometries, spectra and distances draw themsel
 def __getattr__(name: str) -> _Any:
     if name in __all__:
         return _get(name)
-    if name.startswith("__"):  # asked for by tools, of whatever they meet
-        raise AttributeError(f"spectra_kit has no attribute {name!r}")
+    if name.startswith("_") or _find_spec(f"spectra_kit.{name}"):
+        # Asked for by tools, of whatever they meet, and by imports of modules.
+        raise AttributeError(f"spectra_kit has no attribute {name!r}; it may be a module to import")
     place = next((room for room in _ROOMS if name in dir(_room(room))), None)
     near = [f"{place}.{name}"] if place else _near(name, __all__, 2)
     hint = "dir(spectra_kit) lists what it has"
