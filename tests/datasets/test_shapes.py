@@ -131,6 +131,8 @@ def test_a_store_that_cannot_be_written_ends_the_run(scans, store):
 def test_an_engine_that_is_none(scans, store):
     refused("engine", "return tasks with their results", compute_all, find_inputs([scans]), store,
             PLAN, engine=lambda tasks: None)  # fmt: skip
+    refused("engine", "return all tasks with their results, got 0 of 7", compute_all,
+            find_inputs([scans]), store, PLAN, engine=lambda tasks: iter(()))  # fmt: skip
 
 
 def test_shapes_that_go_together_have_the_modes_of_each_alone(store, tmp_path, monkeypatch):
