@@ -188,6 +188,8 @@ def run(
                 strict or not isinstance(result, Exception) or isinstance(result, StoreError)
             ):
                 raise result
+            if id(job) not in places:
+                raise InvalidInputError("engine", "return the tasks that it is given, each once")
             found[places.pop(id(job))] = result
             done += 1
             if progress is not None:
