@@ -94,6 +94,11 @@ def find_inputs(sources: Sequence[str | os.PathLike[str]]) -> list[Input]:
         In the order of the sources, those of a pattern or a folder in that of their names. Each is
         named by its path as it was given, with ``/`` between folders; no two by the same.
 
+    Raises
+    ------
+    InvalidFileError
+        If a manifest is not there, or is no table with a column ``file``.
+
     Examples
     --------
     >>> import tempfile
@@ -133,6 +138,24 @@ def find_pairs(
     -------
     list of Pair
         In the order of the names, or of the file.
+
+    Raises
+    ------
+    InvalidFileError
+        If the file is not there, or is no table with such columns.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import spectra_kit as sk
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> store, plan = sk.datasets.SpectrumStore(folder / "store"), sk.datasets.Plan(k=12)
+    >>> for i in range(3):
+    ...     sk.geometry.write(sk.geometry.creature(600, seed=i), folder / f"{i}.off")
+    ...     _ = sk.datasets.complete(store, f"animal{i}", folder / f"{i}.off", plan)
+    >>> [pair.name for pair in sk.datasets.find_pairs("all", store)]
+    ['animal0 to animal1', 'animal0 to animal2', 'animal1 to animal2']
     """
     return pairs_of(pairs, store, None if plan is None else plan.facts)
 

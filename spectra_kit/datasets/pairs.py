@@ -114,12 +114,19 @@ def match_all(
     matching : Matching
         How they are matched.
     engine, strict, progress
-        As of `compute_all`, and with the same errors.
+        As of `compute_all`.
 
     Returns
     -------
     BatchReport
         Results and failures. The maps themselves are in the store: `load_match`.
+
+    Raises
+    ------
+    StoreError
+        If the store cannot be written: no other map could be kept either.
+    SpectraKitError
+        Of the first pair that fails, if it is `strict`; if the engine is lost.
 
     Notes
     -----
@@ -269,6 +276,18 @@ def load_match(store: SpectrumStore, key: str) -> Match | None:
     -------
     Match or None
         The very numbers; None where there is none.
+
+    Raises
+    ------
+    InvalidFileError
+        If the entry is damaged.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import spectra_kit as sk
+    >>> sk.datasets.load_match(sk.datasets.SpectrumStore(tempfile.mkdtemp()), "0" * 32) is None
+    True
     """
     found = store.load_map(key)
     if found is None:

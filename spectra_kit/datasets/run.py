@@ -188,13 +188,21 @@ def run(
                 strict or not isinstance(result, Exception) or isinstance(result, StoreError)
             ):
                 raise result
-            found[places[id(job)]] = result
+            if id(job) not in places:
+                raise InvalidInputError("engine", "return the tasks that it is given, each once")
+            found[places.pop(id(job))] = result
             done += 1
             if progress is not None:
                 progress(done, len(things))
     finally:
         if isinstance(results, Generator):
             results.close()  # workers end now, not when somebody collects what is left of them
+    if places:
+        raise InvalidInputError(
+            "engine",
+            "return all tasks with their results",
+            f"{len(jobs) - len(places)} of {len(jobs)}",
+        )
     told: list[tuple[Any, Any]] = [*zip(things, found, strict=True)]
     return BatchReport(
         of=of,

@@ -163,7 +163,27 @@ def complete(
     Returns
     -------
     Completed
-        Keys and numbers. Of a file that fails nothing is recorded.
+        Keys and numbers.
+
+    Raises
+    ------
+    StoreError
+        If the store cannot be written.
+    SpectraKitError
+        As of `geometry.read`, `Plan` and `eigensolve`; nothing is recorded for the name then.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import spectra_kit as sk
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> sk.geometry.write(sk.geometry.creature(600), folder / "animal.off")
+    >>> store, plan = sk.datasets.SpectrumStore(folder / "store"), sk.datasets.Plan(k=12)
+    >>> sk.datasets.complete(store, "animal", folder / "animal.off", plan).computed
+    True
+    >>> sk.datasets.complete(store, "animal", folder / "animal.off", plan).computed
+    False
     """
     return _completed(store, name, Path(file), plan)
 

@@ -310,7 +310,7 @@ class SpectrumStore:
             try:
                 reading[entry.kind](entry.key)
             except InvalidFileError as error:
-                if entry.path.exists():  # others may have taken it out
+                if files.state(entry.path) is not None:  # others may have taken it out
                     found.append(Damage(entry.path, str(error.problem)))
                     if remove:
                         files.remove(entry.path)
@@ -417,7 +417,7 @@ def _with_facts(entries: Iterable[StoredEntry]) -> Iterator[tuple[StoredEntry, d
         try:
             facts, _ = files.read(entry.path, whole=False)
         except InvalidFileError:
-            if entry.path.exists():
+            if files.state(entry.path) is not None:  # `exists` takes any failure for its absence
                 raise
         else:
             yield entry, facts

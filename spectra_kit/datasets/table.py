@@ -52,6 +52,20 @@ def write_table(path: str | os.PathLike[str], report: BatchReport[Any, Any]) -> 
     ``coverage``, ``margin`` and ``mirror_margin`` over rivals, and ``orientation`` of the map, as
     `Match` has them; ``confidence``, ``mirrored``, ``ambiguous``, ``convincing``, and the
     ``doubts`` behind them; the key ``map`` of the store, for `load_match`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import spectra_kit as sk
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> sk.geometry.write(sk.geometry.creature(600), folder / "animal.off")
+    >>> inputs = sk.datasets.find_inputs([folder])
+    >>> store = sk.datasets.SpectrumStore(folder / "store")
+    >>> report = sk.datasets.compute_all(inputs, store, sk.datasets.Plan(k=3))
+    >>> sk.datasets.write_table(folder / "table.csv", report)
+    >>> (folder / "table.csv").read_text().splitlines()[0].split(",")[-2:]
+    ['eigenvalue_1', 'eigenvalue_2']
     """
     things = [one for one, _ in report.completed]
     if report.of == "pairs":

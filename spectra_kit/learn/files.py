@@ -93,6 +93,21 @@ def load_labeller(path: str | os.PathLike[str]) -> Classifier | Segmenter:
         no checksum, and are refused where they name a class that was renamed since.
     MissingDependencyError
         Without the packages that its method needs.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import spectra_kit as sk
+    >>> from spectra_kit import learn
+    >>> ball, ring = sk.geometry.sphere().geometry, sk.geometry.torus(n=400).geometry
+    >>> known = learn.train_classifier(
+    ...     [ball, ring], [0, 1], method=learn.NearestNeighbour(),
+    ...     recipe=learn.Recipe(embeddings=(sk.features.ShapeDNA(count=8),), k=16),
+    ... )
+    >>> path = tempfile.mkdtemp() + "/known.safetensors"
+    >>> learn.save_labeller(path, known)
+    >>> learn.load_labeller(path).classify(ring).label
+    1
     """
     return read(path, "labeller", _made)
 

@@ -90,6 +90,7 @@ AT_A_FACE = ("geodesic", BALL, "--face")
         ("got cotan, which needs a mesh", ("spectrum", "cloud.ply", "--operator", "cotan")),
         ("`--cloud` must sample a mesh, got", ("spectrum", "cloud.ply", "--cloud", "100")),
         ("`--cloud` must be at least 1, got 0", ("spectrum", BALL, "--cloud", "0")),
+        ("`--cloud` must fit into 64 bits, got 1000", ("info", BALL, "--cloud", str(10**30))),
         ("not enough memory", ("info", BALL, "--cloud", "90000000000000")),
         ("`--boundary` must be neumann on what", ("spectrum", BALL, "--boundary", "dirichlet")),
         ("got automatic; choose one of those by --solver", ("spectrum", BALL, "--rtol", "1e-4")),

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -128,9 +129,17 @@ def test_a_store_that_cannot_be_written_ends_the_run(scans, store):
         compute_all(find_inputs([scans]), store, PLAN)
 
 
-def test_an_engine_that_is_none(scans, store):
-    refused("engine", "return tasks with their results", compute_all, find_inputs([scans]), store,
-            PLAN, engine=lambda tasks: None)  # fmt: skip
+@pytest.mark.parametrize(
+    ("engine", "expected"),
+    [
+        (lambda tasks: None, "return tasks with their results, got None"),
+        (lambda tasks: [], "return all tasks with their results, got 0 of 7"),
+        (lambda tasks: [(tasks[0], None)] * 2, "return the tasks that it is given, each once"),
+        (lambda tasks: [(copy(tasks[0]), None)], "return the tasks that it is given, each once"),
+    ],
+)
+def test_engines_that_are_none(scans, store, engine, expected):
+    refused("engine", expected, compute_all, find_inputs([scans]), store, PLAN, engine=engine)
 
 
 def test_shapes_that_go_together_have_the_modes_of_each_alone(store, tmp_path, monkeypatch):

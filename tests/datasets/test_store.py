@@ -1,5 +1,6 @@
 """A store of spectra: what it keeps, under which keys, and what becomes of damage."""
 
+import errno
 import json
 import os
 import shutil
@@ -411,6 +412,33 @@ def test_what_others_take_out_is_no_damage(filled):
         last.path.unlink(missing_ok=True)
 
     assert store.verify(progress=take) == []
+
+
+@pytest.mark.parametrize("calls", ["clean", "verify"])
+def test_what_cannot_be_read_for_a_moment_is_not_gone(filled, monkeypatch, calls):
+    """From Python 3.14 on, `Path.exists` says that it is."""
+    store, _ = filled
+    before, lost = content(store.path), next(store.entries("spectra")).path
+    stat, read, away = Path.stat, store_files.read, []
+
+    def stale(path, **options):
+        if path in away:
+            raise OSError(errno.ESTALE, "stale file handle", str(path))
+        return stat(path, **options)
+
+    def unread(path, **options):
+        if path != lost:
+            return read(path, **options)
+        away.append(lost)  # after it was listed
+        raise InvalidFileError(path, "cannot be read")
+
+    monkeypatch.setattr(Path, "stat", stale)
+    monkeypatch.setattr(Path, "exists", lambda path: path not in away and os.path.exists(path))
+    monkeypatch.setattr(store_files, "read", unread)
+    with pytest.raises(OSError, match="stale"):
+        getattr(store, calls)()
+    monkeypatch.undo()
+    assert content(store.path) == before
 
 
 @pytest.mark.parametrize("ahead", [-1e6, 1e6])

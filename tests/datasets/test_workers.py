@@ -153,15 +153,18 @@ def test_workers_start_for_what_pays():
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="Linux binds processes to cores")
 def test_workers_are_as_many_as_the_cores_that_may_be_used(monkeypatch):
+    """Of a real cluster, but for its processes: threads of this one start at once."""
     distributed, before = pytest.importorskip("distributed"), os.sched_getaffinity(0)
-    monkeypatch.setattr(distributed, "LocalCluster", dict)
+    start, here = distributed.LocalCluster, {"processes": False, "preload": []}
+    monkeypatch.setattr(distributed, "LocalCluster", lambda **asked: start(**asked | here))
     os.sched_setaffinity(0, {min(before)})
     try:
-        asked = DaskEngine()._local(distributed)
+        with DaskEngine()._local(distributed) as cluster:
+            (worker,) = cluster.workers.values()
+            assert worker.state.nthreads == 1
+            assert worker.memory_manager.memory_limit == distributed.system.MEMORY_LIMIT
     finally:
         os.sched_setaffinity(0, before)
-    assert asked["n_workers"] == 1
-    assert asked["memory_limit"] == distributed.system.MEMORY_LIMIT
 
 
 @pytest.mark.slow

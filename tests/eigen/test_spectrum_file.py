@@ -165,13 +165,14 @@ def announcing(dims, kind="<f8"):
 
 @pytest.mark.parametrize("mmap", [False, True])
 @pytest.mark.parametrize("member", ["header", "eigenvalues", "eigenvectors", "mass", "residuals"])
+@pytest.mark.parametrize("method", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_compressed_members_are_refused_before_they_are_inflated(
-    tmp_path, spectrum, member, mmap
+    tmp_path, spectrum, member, method, mmap
 ) -> None:
     path = tmp_path / "s.npz"
     spectrum.save(path)
     large = announcing((1 << 20,)) + bytes(1 << 23)  # 8 MiB out of some kB
-    repacked(path, f"{member}.npy", large, compress_type=zipfile.ZIP_DEFLATED)
+    repacked(path, f"{member}.npy", large, compress_type=method)
     tracemalloc.start()
     with pytest.raises(InvalidFileError, match=f"{member}.npy is compressed") as caught:
         Spectrum.load(path, mmap=mmap)

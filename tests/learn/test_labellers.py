@@ -563,6 +563,11 @@ def test_another_length_than_the_heads_is_refused():
         other.classify(BALL)
 
 
+def test_more_neighbours_than_examples():
+    refused("vectors", "have 3 rows or more, the neighbours, got 2",
+            NearestNeighbour(neighbours=3).fit, np.eye(2), np.arange(2))  # fmt: skip
+
+
 def test_some_points_of_shapes_whose_operator_is_seen():
     with pytest.raises(InvalidInputError, match="be None, all points, for a network that sees"):
         train_segmenter(
@@ -656,3 +661,10 @@ def test_what_is_trained_anywhere_labels_on_the_cpu(device):
     assert (known.segment(ball).labels == high).mean() > 0.95
     known.learned.to(device)
     assert (known.segment(ball).labels == high).mean() > 0.95
+
+
+def test_a_device_that_is_not_there():
+    shapes = [sphere(subdivisions=1).geometry, torus(n=100).geometry]
+    refused("device", "be one that torch can use here, got 'tpu9'", train_classifier, shapes,
+            [0, 1], recipe=Recipe(embeddings=(Coordinates(),)), method=PointNet(width=8),
+            device="tpu9")  # fmt: skip

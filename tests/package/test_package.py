@@ -157,7 +157,7 @@ def test_results_go_back_to_pyvista(bumpy_laplacian) -> None:
     assert (error.value.argument, error.value.got) == ("height", "shape (1,) of float64")
 
 
-@pytest.mark.parametrize("module", ["spectra_kit.cli", "spectra_kit.eigen"])
+@pytest.mark.parametrize("module", ["spectra_kit.cli", "numpy", "cyclopts", "spectra_kit.eigen"])
 def test_ctrl_c_while_it_starts_ends_it_quietly(module: str) -> None:
     """As if the key were pressed when `module` is looked for."""
     done = run(

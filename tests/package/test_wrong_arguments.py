@@ -409,6 +409,13 @@ ALSO = {
     "ShapeRecord.problems": {"array of U"},
     "ShapeRecord.warnings": {"array of U"},
 }
+#: Sequences that may be empty. An empty list is an array of floats to NumPy.
+EMPTY = {
+    *("Match.candidates", "Problem.remedies", "Panel.lines", "Thumbnail.lines"),
+    *("Plan.descriptors", "Plan.operators", "StoreDataset.operators", "BatchReport.completed"),
+    *("Collection.mirrored", "Collection.groups", "Collection.pairs"),
+    *("compute_all.inputs", "match_all.pairs", "shard.inputs"),
+}
 
 
 class DrawnError(Exception):
@@ -572,10 +579,8 @@ def finite(result: Any, depth: int = 3) -> bool:
 
 def fault(call: Call, argument: str, wrong: Any) -> str:
     """Say what is bad about how a call with one wrong argument ended; nothing if it is fine."""
-    empty = isinstance(wrong, list) and not wrong  # of floats to NumPy, of anything to Python
-    fits = family(wrong) in kinds_of(call, argument) or (
-        empty and isinstance(call.good[argument], list | tuple | np.ndarray)
-    )
+    empty = isinstance(wrong, list) and not wrong and f"{call.name}.{argument}" in EMPTY
+    fits = empty or family(wrong) in kinds_of(call, argument)
     try:
         with warnings.catch_warnings(record=True) as doubts:
             warnings.simplefilter("always", UserWarning)
