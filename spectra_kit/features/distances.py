@@ -61,7 +61,7 @@ def biharmonic_distances(surface: Solvable, sources: ArrayLike) -> Floats:
 
     Parameters
     ----------
-    surface
+    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
         As of `heat_kernel_signature`; zero modes tell the components apart.
     sources : array_like of shape (s,)
         Indices of points.
@@ -148,7 +148,7 @@ def farthest_points(surface: Solvable, count: int, *, start: int | None = None) 
 
     Parameters
     ----------
-    surface
+    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
         As of `heat_kernel_signature`; by its zero modes every component gets a point before any
         gets two.
     count : int

@@ -23,7 +23,7 @@ def global_point_signature(surface: Solvable, count: int | None = None) -> Float
 
     Parameters
     ----------
-    surface
+    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
         As of `wave_kernel_signature`.
     count : int, optional
         Number of modes; by default all outside the kernel.

@@ -70,7 +70,7 @@ def heat_kernel(surface: Solvable, sources: ArrayLike, times: ArrayLike) -> Floa
 
     Parameters
     ----------
-    surface
+    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
         As of `heat_kernel_signature`; zero modes take part.
     sources : array_like of shape (s,)
         Indices of points.

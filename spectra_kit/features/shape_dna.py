@@ -33,7 +33,7 @@ def shape_dna(
 
     Parameters
     ----------
-    surface
+    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
         As of `heat_kernel_signature`; zero modes are left out, and with them the number of
         components.
     count : int, optional

@@ -88,7 +88,7 @@ def wave_kernel_signature(
 
     Parameters
     ----------
-    surface
+    surface : Spectrum, TriangleMesh, PointCloud, path or Laplacian
         As of `heat_kernel_signature`; zero modes, whose logarithm is no energy, are left out.
     energies : array_like of shape (e,), optional
         Logarithms of eigenvalues in the unit of `surface`; by default those of
@@ -217,7 +217,7 @@ def _bands(
     if energies is None:
         grid, width = _energies(spectrum, count, width)
     else:
-        if isinstance(energies, tuple) and list(map(np.ndim, energies)) == [1, 0]:
+        if isinstance(energies, tuple) and [np.ndim(e) > 0 for e in energies] == [True, False]:
             raise InvalidInputError(
                 "energies",
                 "be a vector",

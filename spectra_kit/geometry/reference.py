@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import jn_zeros, jnp_zeros
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.records import Rebuilt
+from spectra_kit._core.records import Rebuilt, frozen
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count, check_positive
 from spectra_kit.errors import InvalidInputError
@@ -45,6 +45,11 @@ class Reference(Rebuilt):
     description: str
     dirichlet: Floats | None = None
     eigenfunctions: Floats | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("eigenvalues", "dirichlet", "eigenfunctions"):
+            if (values := getattr(self, name)) is not None:  # a tuple of numbers is welcome
+                object.__setattr__(self, name, frozen(values))
 
     @property
     def multiplicities(self) -> Ints:

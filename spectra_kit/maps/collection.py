@@ -199,8 +199,19 @@ def match_collection(
     *Functional map networks for analyzing and exploring large shape collections*, SIGGRAPH 2014,
     and Huang, Ren, Wonka, Ovsjanikov, *Consistent ZoomOut*, SGP 2020.
 
-    The number of pairs matched, time and memory are linear in the number of surfaces. The guide
-    (docs/matching.md) has an example.
+    The number of pairs matched, time and memory are linear in the number of surfaces.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> poses = {f"pose {i}": sk.geometry.creature(500, pose=i) for i in (1, 2, 3)}
+    >>> shapes = {name: sk.prepare(sk.spectrum(mesh, 40), mesh) for name, mesh in poses.items()}
+    >>> few = sk.maps.MatchOptions(orders=4, growing=16, finalists=2)
+    >>> found = sk.maps.match_collection(shapes, mirrored=False, options=few)
+    >>> found
+    Collection(3 surfaces, 3 pairs matched)
+    >>> found.pair("pose 1", "pose 3").point_map.shape
+    (500,)
     """
     names, many = list(shapes), _checked(shapes, mirrored)
     check_count("neighbours", neighbours, low=1)

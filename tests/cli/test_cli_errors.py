@@ -19,7 +19,7 @@ from spectra_kit.cli import info, main
 from spectra_kit.cli.output import as_json, check_folder, together
 from spectra_kit.cli.program import COMMANDS
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
-from spectra_kit.geometry import PointCloud, TriangleMesh, sphere, write
+from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, write
 
 OTHERS = ("batch", "match-all", "store", "completion")  # of many files, of a folder, of none
 NAMES = [name for name in COMMANDS if name not in OTHERS]
@@ -32,6 +32,7 @@ def folder(tmp_path_factory):
     write(ball, folder / "ball.off")
     write(ball.as_cloud(), folder / "cloud.ply")
     write(PointCloud([[0.0, 0, 0]]), folder / "point.ply")
+    write(rectangle(n=100).geometry, folder / "sheet.off")
     spectrum(sphere(subdivisions=1).geometry, 4).save(folder / "other.npz")
     (folder / "empty.off").touch()
     (folder / "text.docx").write_text("words")
@@ -70,6 +71,7 @@ def test_every_command_refuses_bad_files_in_one_line(name, folder, inside, capsy
 
 
 BALL = "ball.off"
+DIRICHLET = ("--boundary", "dirichlet")
 GEODESIC = ("geodesic", BALL, "--source", "0")
 AT_A_FACE = ("geodesic", BALL, "--face")
 
@@ -92,7 +94,8 @@ AT_A_FACE = ("geodesic", BALL, "--face")
         ("`--cloud` must be at least 1, got 0", ("spectrum", BALL, "--cloud", "0")),
         ("`--cloud` must fit into 64 bits, got 1000", ("info", BALL, "--cloud", str(10**30))),
         ("not enough memory", ("info", BALL, "--cloud", "90000000000000")),
-        ("`--boundary` must be neumann on what", ("spectrum", BALL, "--boundary", "dirichlet")),
+        ("`--boundary` must be neumann on what", ("spectrum", BALL, *DIRICHLET)),
+        ("`--boundary` must be neumann on what", ("spectrum", "cloud.ply", *DIRICHLET)),
         ("got automatic; choose one of those by --solver", ("spectrum", BALL, "--rtol", "1e-4")),
         ("got lanczos and dense", ("compare", BALL, "--solver", "dense", "--rtol", "1e-4")),
         ("must be one of", ("spectrum", BALL, "--solver", "neo", "--weights", "none")),
@@ -126,6 +129,7 @@ AT_A_FACE = ("geodesic", BALL, "--face")
         ("begin with the number of a face, got 1.5", (*AT_A_FACE, "1.5", "1", "0", "0")),
         ("must be in [0, 320), got 5000", (*AT_A_FACE, "5000", "1", "0", "0")),
         ("name places by --at instead", (*AT_A_FACE, "0", "1", "0", "0", "--repair")),
+        ("FacePoint", ("geodesic", "cloud.ply", *AT_A_FACE[2:], "0", "1", "0", "0")),
         ("name places by --at instead", (*GEODESIC, "--cloud", "100")),
         ("`--farthest` must be at least 0, got -1", ("geodesic", BALL, "--farthest", "-1")),
         ("`--farthest` must be in [0, 162], got 163", ("geodesic", BALL, "--farthest", "163")),
@@ -144,6 +148,10 @@ AT_A_FACE = ("geodesic", BALL, "--face")
         (
             "`--heat-boundary` must be neumann with",
             (*GEODESIC, "--heat-boundary", "average", "--compare"),
+        ),
+        (
+            "must not all lie on the boundary of",
+            ("geodesic", "sheet.off", "--source", "0", "--heat-boundary", "dirichlet"),
         ),
         ("--up has no effect with --no-pictures", (*GEODESIC, "--no-pictures", "--up", "y")),
     ],
@@ -398,16 +406,25 @@ def test_saved_modes_must_be_of_this_geometry_and_operator(folder, capsys, tmp_p
     assert "not a whole spectrum file" in refusal(capsys, "modes", ball, "--spectrum", ball)
 
 
-def test_a_drawing_that_fails_keeps_the_numbers(folder, capsys, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("command", "key"),
+    [
+        (("spectrum", "--picture", "x.png", "--dpi", "0"), "eigenvalues"),
+        (("compare", "--solver", "dense", "-o", "x.png", "--dpi", "0"), "comparison"),
+    ],
+)
+def test_a_drawing_that_fails_keeps_the_numbers(
+    command, key, folder, capsys, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
-    command = ["spectrum", str(folder / "ball.off"), "-k", "4", "--picture", "x.png", "--dpi", "0"]
+    name, *options = command
     for form in ((), ("--json",)):
-        assert main([*command, *form]) == 2
+        assert main([name, str(folder / "ball.off"), "-k", "4", *options, *form]) == 2
         out, err = capsys.readouterr()
         assert err.startswith("the numbers are whole, but not drawn: x.png\nerror: `")
         if form:
             told = json.loads(out)
-            assert told["eigenvalues"]
+            assert told[key]
             assert told["picture"] is None
         else:
             assert "largest relative residual" in out

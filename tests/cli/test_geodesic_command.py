@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from conftest import creature, joined, moved
-from running import printed, record, write_shapes
+from running import printed, record, refusal, write_shapes
 
 from spectra_kit import show
 from spectra_kit.cli import main
@@ -304,3 +304,16 @@ def test_solvers_are_compared(files, tmp_path, capsys):
             assert len(run["residuals"]) == len(run["times"]) == run["iterations"] + 1
     assert runs["direct Cholesky"]["difference_from_direct"] == 0
     assert 0 < runs["potpourri3d"]["difference_from_direct"] < 0.05
+
+
+def test_files_of_another_run_are_not_mixed_with_its_own(files, tmp_path, capsys):
+    out = tmp_path / "out"
+    few = (files / "ball.off", "--source", 0, "--no-pictures", "-o", out)
+    for _ in range(2):  # all is replaced
+        report(capsys, *few)
+    (out / "field.png").write_bytes(b"old")
+    left = "got field.png, which would stay beside the new one"
+    assert left in refusal(capsys, "geodesic", *few)
+    eaten = "not replace an input, got distance.ply"
+    assert eaten in refusal(capsys, "geodesic", out / "distance.ply", *few[1:])
+    assert (out / "field.png").read_bytes() == b"old"

@@ -272,6 +272,8 @@ def test_bad_input_is_refused(bumps):
          wave_kernel_signature, s, []),
         ("energies", "be a vector, got a tuple of two as `wave_energies` returns it; write",
          wave_kernel_signature, s, wave_energies(s)),
+        ("energies", "be a vector, got a tuple of two as `wave_energies` returns it; write",
+         wave_kernel_signature, s, ([[1.0, 2.0]], 0.5)),
         ("times", "be positive, got 1 entry", heat_kernel_signature, s, [0.0, 1.0]),
         ("times", "be finite", heat_kernel_signature, s, [np.nan]),
         ("sources", "name at least one point, got none", heat_kernel, s, [], [1.0]),

@@ -290,6 +290,13 @@ def test_buffers_in_the_folder_or_below(tmp_path, monkeypatch, uri, file):
     is_ball("a.gltf")
 
 
+def test_a_buffer_that_is_not_there_is_named(tmp_path):
+    path = plain().beside(tmp_path / "a.gltf", "a.bin", tmp_path / "a.bin")
+    (tmp_path / "a.bin").unlink()
+    with pytest.raises(InvalidFileError, match=r"'a\.bin', which holds its arrays, is no file"):
+        read(path)
+
+
 @pytest.mark.parametrize(
     "uri",
     [

@@ -11,6 +11,7 @@ import trimesh
 
 from spectra_kit.errors import OutOfMemoryError
 from spectra_kit.geometry import PointCloud, TriangleMesh, read, sphere, write
+from spectra_kit.geometry.formats import numpy_arrays
 from spectra_kit.geometry.io import READERS
 
 EXACT = [".obj", ".off", ".ply", ".npz"]
@@ -116,6 +117,20 @@ def test_binary_ply_with_mixed_polygons_and_other_properties(tmp_path, order):
     mesh = read(tmp_path / "m.ply")
     np.testing.assert_array_equal(mesh.points, [*SQUARE, [5, 5, 5]])
     np.testing.assert_array_equal(mesh.faces, [*FAN, [0, 1, 4]])
+
+
+def test_npz_with_short_names_and_small_types(tmp_path):
+    np.savez_compressed(
+        tmp_path / "a.npz", V=SQUARE.astype(np.float16), F=np.array(FAN, np.uint16), other=3
+    )
+    assert_same(read(tmp_path / "a.npz"), TriangleMesh(SQUARE, FAN))
+
+
+def test_a_mistake_of_the_reader_is_not_told_as_a_damaged_file(tmp_path, monkeypatch):
+    np.savez(tmp_path / "a.npz", V=SQUARE, F=FAN)
+    monkeypatch.setattr(numpy_arrays, "_array", lambda file, size: file.no_such_attribute)
+    with pytest.raises(AttributeError, match="no_such_attribute"):
+        read(tmp_path / "a.npz")
 
 
 def test_stl_joins_positive_and_negative_zero(tmp_path):

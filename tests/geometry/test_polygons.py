@@ -72,7 +72,7 @@ def test_outlines_from_each_corner_and_side(name, scale):
                 )
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(40))
 def test_star_shaped_outlines(seed):
     rng = np.random.default_rng(seed)
     n = int(rng.integers(4, 60))

@@ -5,7 +5,14 @@ import pytest
 from scipy.special import jv, jvp
 
 from spectra_kit.eigen import eigensolve
-from spectra_kit.geometry.reference import _torus_eigenvalues, disk, rectangle, sphere, torus
+from spectra_kit.geometry.reference import (
+    Reference,
+    _torus_eigenvalues,
+    disk,
+    rectangle,
+    sphere,
+    torus,
+)
 from spectra_kit.operators import cotan_laplacian, robust_laplacian
 
 MAKERS = [sphere, rectangle, disk, torus]
@@ -26,6 +33,13 @@ def test_spectra_are_sorted_start_at_zero_and_are_the_first_of_more(make):
         assert reference.multiplicities.sum() == k
         assert not reference.eigenvalues.flags.writeable
         np.testing.assert_allclose(reference.eigenvalues, more.eigenvalues[:k], rtol=1e-9)
+
+
+def test_numbers_may_come_as_tuples():
+    reference = Reference(sphere(k=1).geometry, (0.0, 2.0, 2.0, 2.0), "d", dirichlet=(1.0, 2.0))
+    assert reference.multiplicities.tolist() == [1, 3]
+    assert not reference.eigenvalues.flags.writeable
+    assert not reference.dirichlet.flags.writeable
 
 
 @pytest.mark.parametrize(

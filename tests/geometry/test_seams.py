@@ -250,7 +250,7 @@ def test_a_row_of_points_is_not_drawn_together() -> None:
     assert np.linalg.norm(back - cloud.points, axis=1).max() <= 0.1
 
 
-@pytest.mark.parametrize("ending", ["glb", "obj"])
+@pytest.mark.parametrize("ending", ["glb", "obj", "ply", "off", "npz"])
 def test_files_with_corners_of_their_own_give_the_closed_surface(ending: str, tmp_path) -> None:
     path = tmp_path / f"flat.{ending}"
     write(corners(BALL), path)

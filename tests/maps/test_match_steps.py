@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from ast import literal_eval
+
 import numpy as np
 import pytest
 from conftest import creature, refused
@@ -335,3 +338,10 @@ def test_the_score_is_a_geometric_mean() -> None:
 def test_options_out_of_range_are_refused() -> None:
     refused("turns", "be at least 1", MatchOptions, turns=0)
     refused("mirrored_by", "be a finite weight", MatchOptions, mirrored_by=np.nan)
+
+
+def test_options_are_what_their_documentation_says() -> None:
+    told = dict(
+        re.findall(r"^ *(\w+) : .*, default (.+)$", str(MatchOptions.__doc__), re.MULTILINE)
+    )
+    assert {name: literal_eval(value) for name, value in told.items()} == vars(MatchOptions())

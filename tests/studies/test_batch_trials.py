@@ -34,6 +34,15 @@ def test_trials_tell_what_happened(setting):
     told = TRIALS["damaged"](here)
     assert told["found"] == told["of these three"] == told["computed"] == 3
     assert told["as undisturbed"]
+    told = TRIALS["memory"](here)
+    assert told["computed"] == 4
+    assert 0.05 < told["GB, largest process"] <= told["GB, all processes"] < 8
+
+
+def test_broken_files_are_named_among_whole_ones(setting):
+    told = TRIALS["broken"](replace(setting, workers=0, shapes=setting.shapes[:1]))
+    assert (told["broken"], told["named"], told["others that failed"]) == (30, 30, 0)
+    assert told["computed"] == 1
 
 
 def test_stores_that_differ_are_told(tmp_path):

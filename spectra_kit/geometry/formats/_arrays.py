@@ -22,14 +22,12 @@ Arrays = tuple[ArrayLike, ArrayLike | Polygons | InvalidInputError | None]
 with them (for who wants the points alone), or None where the file holds none."""
 
 
-# What NumPy, zipfile and the decompressors raise on damaged files, and JSON of another form than
-# glTF; an OSError here is a seek to a bad place, a RuntimeError an encrypted array or a header
-# of a thousand brackets.
+# What NumPy, zipfile and the decompressors raise on damaged files; an OSError here is a seek to a
+# bad place, a RuntimeError an encrypted array or a header of a thousand brackets.
 BROKEN = (
     ValueError,
     TypeError,
     LookupError,
-    AttributeError,
     SyntaxError,
     EOFError,
     OSError,

@@ -77,7 +77,7 @@ def read(path: Path) -> Arrays:
         parts = list(_parts(tree, arrays, passed))
     except InvalidInputError:
         raise
-    except BROKEN as error:
+    except (*BROKEN, AttributeError) as error:  # JSON of another form
         raise InvalidInputError(
             f"not a whole glTF file ({type(error).__name__}: {error})"
         ) from error
@@ -154,7 +154,7 @@ def buffer_files(path: Path) -> list[Path]:
         buffers = json.loads(path.read_bytes()).get("buffers", [])
         names = [buffer.get("uri") or "data:" for buffer in buffers]
         files = [_beside(path, name) for name in names if not name.startswith("data:")]
-    except BROKEN:
+    except (*BROKEN, AttributeError):
         return []  # to read it tells what is wrong
     return [file for file in dict.fromkeys(files) if file is not None]
 
