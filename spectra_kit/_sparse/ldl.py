@@ -153,6 +153,8 @@ class SparseLDL:
         from spectra_kit._sparse._lane_kernels import LANES, solve_columns
 
         real = real_dtype("dtype", dtype)
+        if np.iscomplexobj(rhs):
+            raise InvalidInputError("rhs", "be real", np.asarray(rhs).dtype)
         rhs = np.require(rhs, real, ["C", "W"])
         if rhs.ndim not in (1, 2) or len(rhs) != self.n:
             raise InvalidInputError("rhs", f"have shape ({self.n},) or ({self.n}, s)", rhs.shape)

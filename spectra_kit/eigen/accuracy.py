@@ -262,7 +262,7 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
     of a factor of ``L - sigma M`` are as many as eigenvalues below sigma: if more than j lie below
     ``values[j] - 3 errors[j]``, the estimate is wrong; if j at most lie below ``values[j] - 30
     errors[j]``, it is by ten times that at most. Of many modes on many points, only some are
-    held against counts, evenly spread, and speak for those below them.
+    held against counts, evenly spread, and speak for those below them; where memory ends, no more.
     """
     n, k = laplacian.n, len(values)
     counts = min(k, _WORK // n)
@@ -279,29 +279,30 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
     some = some[np.unique(np.linspace(0, len(some) - 1, counts).round().astype(int))]
     floors, numbers = [0.0], [0]  # below each floor, so many eigenvalues at most
     times, shared = np.ones(len(some)), None  # as large as estimated each may be
-    for i, j in enumerate(some):
-        refuted = False
-        for more in _TIMES if np.isfinite(times).all() else _TIMES[:1]:
-            shift = values[j] - more * errors[j] - off
-            if shift <= 0:
-                times[i], refuted = more if more > _TIMES[0] else 1.0, False
-                break
-            try:
+    try:
+        for i, j in enumerate(some):
+            refuted = False
+            for more in _TIMES if np.isfinite(times).all() else _TIMES[:1]:
+                shift = values[j] - more * errors[j] - off
+                if shift <= 0:
+                    times[i], refuted = more if more > _TIMES[0] else 1.0, False
+                    break
                 factor = counting_factor(laplacian.stiffness, laplacian.mass, shift, shared)
-            except MemoryError:  # the modes are there, and must not be lost for it
-                return errors
-            if factor is None:
-                continue
-            shared, inertia = factor.elimination, factor.inertia
-            backward = factor.backward_error(laplacian.mass) if inertia.negative > j else 0.0
-            floors.append(shift - backward)
-            numbers.append(inertia.negative + inertia.zero)
-            refuted = inertia.negative > j and shift + backward < values[j]  # by no rounding
-            if inertia.negative <= j:
-                times[i] = more if more > _TIMES[0] else 1.0
-                break
-        if refuted:
-            times[i] = np.inf
+                if factor is None:
+                    continue
+                shared, inertia = factor.elimination, factor.inertia
+                backward = factor.backward_error(laplacian.mass) if inertia.negative > j else 0.0
+                floors.append(shift - backward)
+                numbers.append(inertia.negative + inertia.zero)
+                refuted = inertia.negative > j and shift + backward < values[j]  # by no rounding
+                if inertia.negative <= j:
+                    times[i] = more if more > _TIMES[0] else 1.0
+                    break
+            if refuted:
+                times[i] = np.inf
+    except MemoryError:  # the modes are there, and must not be lost for it; what is counted holds
+        some, times = some[: i + refuted], times[: i + refuted]
+        times[i:] = np.inf
     if (times == 1).all():
         return errors
     missing = some[np.isinf(times)].min(initial=k)

@@ -69,6 +69,11 @@ def eigenvalues(
         Those of `eigensolve`, on the device of `stiffness`. Computed in float64 on the CPU;
         gradients have the dtype and the device of what they belong to.
 
+    Raises
+    ------
+    ConvergenceError, InvalidSpectrumError, OutOfMemoryError
+        As `eigensolve`.
+
     Notes
     -----
     With M-orthonormal modes, ``d lambda_i / d L = u_i u_i^T``, on the entries that `stiffness` has,
@@ -168,6 +173,11 @@ def mesh_eigenvalues(
     Tensor of shape (k,), float64
         In 1/length^2: those of ``eigensolve(laplacian(mesh), k)``, on the device of `points`.
         Computed in float64 on the CPU; the gradient has the dtype and the device of `points`.
+
+    Raises
+    ------
+    ConvergenceError, InvalidSpectrumError, OutOfMemoryError
+        As `eigensolve`.
 
     Notes
     -----

@@ -45,6 +45,11 @@ def spectrum(geometry: Geometry, k: int, solver: Eigensolver = Automatic()) -> S
     Spectrum
         Certified.
 
+    Raises
+    ------
+    ConvergenceError, InvalidSpectrumError, OutOfMemoryError
+        As of `eigensolve`.
+
     Examples
     --------
     >>> import spectra_kit as sk
@@ -183,11 +188,21 @@ def eigensolve_many(
     list of Spectrum
         In the order of the operators, certified like those of `eigensolve`.
 
+    Raises
+    ------
+    ConvergenceError, InvalidSpectrumError, OutOfMemoryError
+        As of `eigensolve`, for the first that fails.
+
+    Warns
+    -----
+    DoubtfulSpectrumWarning
+        As `eigensolve` does, for each.
+
     Notes
     -----
-    Errors, of the first that fails, and warnings are those of `eigensolve`. They begin with the
-    place of the operator that they are about, ``laplacians[3]``, which is their attribute
-    ``where``, too. Results depend on `batch` by rounding alone, and not on the number of threads.
+    Messages begin with the place of the operator that they are about: ``laplacians[3]``, which is
+    the attribute ``where`` of errors and warnings, too. Results depend on `batch` by rounding
+    alone, and not on the number of threads.
 
     Examples
     --------

@@ -64,6 +64,8 @@ def rough(n: int) -> sk.Laplacian:
     ("accuracy", "name", "promise"),
     [
         (None, "lanczos", "exact"),
+        (1e-14, "lanczos", "exact"),
+        (1e-8, "lanczos", "exact"),
         (1e-5, "lanczos", "exact"),
         (1e-4, "cascade", "approximate"),
         (1e-2, "cascade", "approximate"),
@@ -72,7 +74,7 @@ def rough(n: int) -> sk.Laplacian:
 def test_the_accuracy_is_met_and_the_choice_is_told(animal, exact, accuracy, name, promise) -> None:
     found = sk.eigensolve(animal, K, sk.Automatic(accuracy=accuracy))
     made, certificate = found.provenance, found.certificate
-    assert errors(found, exact).mean() <= (accuracy or 1e-12)
+    assert errors(found, exact).mean() <= max(accuracy or 0.0, 1e-12)
     assert (made.name, made.accuracy) == (name, promise)
     assert made.solver.lower().startswith(f"{name}(")
     assert made.choice == f"{name}: {made.reason}"
@@ -123,6 +125,7 @@ def test_points_held_at_zero(accuracy) -> None:
     [
         (1e-7, 1, "1 step of smoothing left errors of "),
         (1e-7, 0, "0 steps of smoothing left unknown errors"),
+        (1e-3, 0, "0 steps of smoothing left unknown errors"),
     ],
 )
 def test_smoothing_that_stalls_goes_on_with_a_factor(
@@ -132,7 +135,9 @@ def test_smoothing_that_stalls_goes_on_with_a_factor(
     monkeypatch.setattr(automatic, "_STEPS", steps)
     monkeypatch.setattr(automatic, "_TIGHT", 1e-7)
     found = sk.eigensolve(animal, K, sk.Automatic(accuracy=accuracy))
-    assert errors(found, exact).mean() <= found.certificate.errors.mean() <= accuracy
+    certified = found.certificate.errors.mean()
+    assert errors(found, exact).mean() <= min(accuracy, certified)
+    assert certified <= accuracy or accuracy > 1e-7  # bounds of close eigenvalues may be larger
     assert found.certificate.relative_residuals.max() <= accuracy
     made = found.provenance
     assert (made.name, made.accuracy) == ("refined", "to tolerance")

@@ -5,11 +5,11 @@ from functools import cache, partial
 import numpy as np
 import pytest
 import trimesh
-from conftest import bumpy, joined, moved, two_sheets, whole_spectrum
+from conftest import bumpy, creature, joined, moved, two_sheets, whole_spectrum
 from scipy import sparse
 
 import spectra_kit as sk
-from spectra_kit.eigen import Eigenpairs, accuracy, run
+from spectra_kit.eigen import Eigenpairs, accuracy, automatic, run
 from spectra_kit.geometry import sphere, torus
 
 
@@ -136,19 +136,83 @@ def test_what_sweeps_cannot_complete_is_solved_densely_on_few_points(
     assert "passed over" in completed.provenance.reason
 
 
-@pytest.mark.parametrize("solver", [sk.Automatic(), sk.Cascade(coarsest=150)], ids=repr)
-def test_modes_are_kept_where_the_count_does_not_fit_into_memory(
-    bumpy_laplacian, monkeypatch, solver
-) -> None:
-    def no_room(*matrix: object, **options: object) -> None:
-        raise MemoryError
+class Memory:
+    """Room for so many factors, in place of `SparseLDL`."""
 
-    monkeypatch.setattr(accuracy, "SparseLDL", no_room)
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, room: int) -> None:
+        self.room, self.ended, self.factorise = room, False, accuracy.SparseLDL
+        monkeypatch.setattr(accuracy, "SparseLDL", self)
+
+    def __call__(self, *matrix: object, **options: object) -> object:
+        self.ended = not self.room
+        if self.ended:
+            raise MemoryError
+        self.room -= 1
+        return self.factorise(*matrix, **options)
+
+
+@pytest.mark.parametrize(
+    ("solver", "told"),
+    [
+        (sk.Automatic(), "the first 0 of 20; not counted: out of memory"),
+        (sk.Cascade(coarsest=150), "not counted: modes may be missing between these"),
+    ],
+    ids=repr,
+)
+def test_modes_are_kept_where_the_count_does_not_fit_into_memory(
+    bumpy_laplacian, monkeypatch, solver, told
+) -> None:
+    memory = Memory(monkeypatch, 0)
     certificate = sk.eigensolve(bumpy_laplacian, 20, solver).certificate
+    assert memory.ended
     assert (certificate.level, certificate.n_verified) == ("residuals", 0)
-    told = "the first 0 of 20; not counted: out of memory"
-    if solver == sk.Automatic():
-        assert certificate.completeness == told
+    assert certificate.completeness == told
+
+
+def hidden() -> sk.Laplacian:
+    """Three grids that hang by almost nothing, in a spiral: a mode that no coarse level sees."""
+    path = sparse.diags_array([np.ones(14)] * 2, offsets=[1, -1])
+    grid = sparse.kron(path, sparse.eye_array(15)) + sparse.kron(sparse.eye_array(15), path)
+    links = sparse.coo_array(([1e-8, 1e-8], ([0, 225], [225, 450])), (675, 675))
+    weights = sparse.block_diag([grid] * 3) + links + links.T
+    t = np.arange(675)
+    spiral = np.column_stack([np.cos(0.1 * t) * t, np.sin(0.1 * t) * t, 0.01 * t])
+    stiffness = sparse.csr_array(sparse.diags_array(weights.sum(axis=1)) - weights)
+    return sk.Laplacian(stiffness, np.ones(675), spiral)
+
+
+@pytest.mark.parametrize("solver", [sk.Automatic(accuracy=0.1), sk.Cascade()], ids=repr)
+@pytest.mark.parametrize(("room", "refuted"), [(3, False), (6, True)])
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
+def test_what_was_refuted_before_memory_ended_is_told(monkeypatch, solver, room, refuted) -> None:
+    monkeypatch.setattr(automatic, "_FEW", 0)
+    monkeypatch.setattr(automatic, "_FEW_FOR_EACH", 0)
+    memory = Memory(monkeypatch, room)
+    found = sk.eigensolve(hidden(), 40, solver)
+    assert memory.ended
+    if refuted and solver == sk.Automatic(accuracy=0.1):  # it goes on
+        assert found.provenance.name == "arpack"
+        assert "of smoothing left errors of" in found.provenance.reason
+    else:
+        assert found.provenance.name == "cascade"
+        assert (found.certificate.errors.max() > 0.1) == refuted
+
+
+def test_the_fewer_counts_there_is_memory_for_the_more_they_leave_open(monkeypatch) -> None:
+    """Of a mode that is missing, from the first count that tells it on."""
+    animal = sk.robust_laplacian(creature(600))
+    truth = sk.eigensolve(animal, 14, sk.Dense()).eigenvalues
+    values = np.delete(truth, 4)
+    whole = accuracy.counted_errors(animal, values, np.full(13, 1e-9))
+    assert whole[4] == pytest.approx(values[4] - values[3], rel=1e-3)
+    for room in (4, 6, 9):
+        with monkeypatch.context() as patch:
+            memory = Memory(patch, room)
+            errors = accuracy.counted_errors(animal, values, np.full(13, 1e-9))
+        assert memory.ended
+        assert (errors >= whole).all()
+        assert (errors >= values - truth[:13]).all()
+        assert (errors[:4] == 1e-9).all()
 
 
 def strip() -> sk.Laplacian:
@@ -244,3 +308,9 @@ def test_zero_modes_that_are_missing_leave_nothing_verified() -> None:
     count = sk.verify(without, laplacian).certificate.count
     assert (count.verified, count.missing) == (0, 1)
     assert "1 of 1 zero modes are not in this spectrum" in count.reason
+
+
+def test_zero_modes_alone_are_the_lowest() -> None:
+    spectrum = sk.eigensolve(sk.robust_laplacian(spheres(12)), 7)
+    assert spectrum.certificate.level == "verified"
+    assert spectrum.certificate.completeness == "all 7, none missed"

@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import shutil
 import signal
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -13,12 +14,15 @@ import pytest
 from conftest import produced_here
 
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.neo.model import NeoConfig
 from spectra_kit.neo.train import stream as streaming
+from spectra_kit.neo.train.config import TrainConfig
 from spectra_kit.neo.train.corpus import WorkerError, generate, open_shards
 from spectra_kit.neo.train.samples import CorpusConfig, make_sample
 from spectra_kit.neo.train.stream import SampleStream
 
 TINY = CorpusConfig(seed=3, n_points=100, k=4, shard_size=4)
+AS_THEY_COME = TrainConfig(network=NeoConfig.named("small"), steps=1, batch=5, shown=0)
 
 
 @pytest.fixture(scope="module")
@@ -121,11 +125,55 @@ def test_windows_wait_for_what_they_show_and_no_more_is_made(tmp_path):
         stream.window(0, 4)
 
 
+@pytest.mark.usefixtures("in_this_process")
+def test_a_corpus_grows_by_a_stream_that_keeps_its_shards(shards, tmp_path):
+    generate(tmp_path, 8, config=TINY)
+    options = {"workers": 1, "capacity": 4, "folder": tmp_path, "keep": True}
+    with SampleStream(TINY, **options) as stream:
+        while stream.made < 12:
+            time.sleep(0.02)
+        assert len(stream) == 4
+    grown = open_shards(tmp_path)
+    assert len(grown) >= 12
+    np.testing.assert_array_equal(grown.labels["index"], np.arange(len(grown)))
+    assert_same(grown, open_shards(shards), np.arange(12))
+    for start in (4, 400):
+        with pytest.raises(InvalidInputError, match="hold whole shards of the samples from"):
+            SampleStream(TINY, start=start, **options).__enter__()
+    with pytest.raises(InvalidInputError, match="let the stream `keep` its shards"):
+        SampleStream(TINY, workers=1, capacity=4, folder=tmp_path).__enter__()
+    assert len(open_shards(tmp_path)) == len(grown)
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_a_run_waits_for_no_more_samples_than_are_made_ahead(monkeypatch):
+    monkeypatch.setattr(streaming, "_PATIENCE", 1e9)
+    with SampleStream(TINY, workers=1, capacity=64, ahead=4) as stream:
+        stream.begin(AS_THEY_COME)
+        assert stream.made == 4
+
+
+def test_a_run_tells_that_it_waits_for_its_first_sample(monkeypatch):
+    told = threading.Event()
+
+    def late(config, indices, workers):
+        assert told.wait(30)
+        yield make_sample(config, next(indices))
+
+    monkeypatch.setattr(streaming, "produced", late)
+    monkeypatch.setattr(streaming, "_PATIENCE", 0.0)
+    monkeypatch.setattr(streaming, "warn", lambda *_: told.set())
+    with SampleStream(TINY, workers=1, capacity=64) as stream:
+        stream.begin(AS_THEY_COME)
+        assert told.is_set()
+        assert len(stream) == 1
+
+
 def test_reading_waits_for_nothing():
     stream = SampleStream(TINY, workers=1, capacity=8)
     assert (stream.n_points, stream.k, len(stream), stream.made) == (100, 4, 0, 0)
     assert not stream.ready(8, timeout=0)
-    stream.__exit__()
+    stream.close()
     assert not stream.ready(8, timeout=1e9)  # none will come
 
 

@@ -15,6 +15,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean, geometric_mean
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -127,6 +128,18 @@ def test_muon_takes_the_steps_of_torch():
     matrices = torch.randn(3, 60, 40, generator=torch.Generator().manual_seed(0))
     singular = torch.linalg.svdvals(orthogonalise(matrices))
     assert 0.5 < singular.min() < singular.max() < 1.3
+
+
+def test_muon_calls_a_closure():
+    parameter = torch.nn.Parameter(torch.ones(48, 64))
+
+    def loss():
+        found = parameter.square().sum()
+        found.backward()
+        return found
+
+    assert Muon([parameter], 0.01).step(loss).item() == 48 * 64
+    assert parameter.square().sum() < 48 * 64
 
 
 def test_muon_gets_matrices_and_adamw_the_rest():
@@ -423,6 +436,14 @@ def test_a_run_is_not_overwritten_and_resumes_under_the_same_configuration_alone
     with pytest.raises(InvalidInputError, match=r"other values of \['relative'\]"):
         train(*corpora, replace(free, relative=True), out=tmp_path, resume=True)
     assert stopped(3, *corpora, free, out=tmp_path, resume=True).record["steps"] == 3
+
+
+def test_a_source_of_somebody_else_will_do(corpora, whole):
+    corpus, validation = corpora
+    names = "n_points", "k", "fewest", "has_operators", "capacity", "made", "identity", "draw"
+    other = SimpleNamespace(**{name: getattr(corpus, name) for name in names})
+    result = train(other, validation, CONFIG)
+    assert same(result.network.state_dict(), whole.network.state_dict())
 
 
 def test_samples_on_which_functions_span_everything_are_refused(tmp_path):

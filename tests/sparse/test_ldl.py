@@ -92,6 +92,7 @@ def test_factors_refuse_what_they_cannot_factorise() -> None:
     refused("matrix", "be symmetric", SparseLDL, sparse.csr_array([[2.0, 1.0], [0.5, 2.0]]))
     solve = SparseLDL(grid(3)).solve
     refused("rhs", "have shape (9,)", solve, np.ones(8))
+    refused("rhs", "be real", solve, np.ones(9) + 1j)
     nothing = SparseLDL(sparse.csr_array(np.ones((0, 0))))
     assert nothing.solve(np.ones(0)).shape == (0,)
     refused("dtype", "be float32 or", solve, np.ones(9), dtype=np.int64)

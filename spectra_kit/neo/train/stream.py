@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._core.validate import check_count
-from spectra_kit.errors import InvalidInputError
+from spectra_kit._core.warn import warn
+from spectra_kit.errors import InvalidInputError, SpectraKitWarning
 from spectra_kit.neo.train.config import TrainConfig
 from spectra_kit.neo.train.corpus import (
     Corpus,
@@ -39,6 +40,7 @@ from spectra_kit.neo.train.corpus import (
 from spectra_kit.neo.train.samples import CorpusConfig, Samples
 
 _BEGIN = 4  # batches of samples that a run on a stream begins with
+_PATIENCE = 60.0  # seconds that a run waits for more than one sample
 _LOOK = 0.1  # seconds between looks of a reader that waits
 _SPARE = 4  # shards before the last window that are kept: a run may go on from some steps before
 
@@ -61,10 +63,12 @@ class SampleStream(Source):
     start : int, default 0
         Number of the first sample. With a `folder`, a multiple of the shard size.
     folder : path, optional
-        For nothing else. Keep whole shards there: those from `start` on that are there already fill
-        the buffer at once, and the stream goes on behind the last. Shards that are older than the
-        last `capacity` samples are removed, and at first those that are not needed from `start` on,
-        or come behind a gap.
+        Save whole shards there: those from `start` on that are there already fill the buffer at
+        once, and the stream goes on behind the last. Without `keep` it is for nothing else: shards
+        that are older than the last `capacity` samples are removed, and at first those that are not
+        needed from `start` on, or come behind a gap.
+    keep : bool, default False
+        Remove no shard: the folder becomes a corpus, as of `generate`, and may be one already.
     ahead : int, optional
         Make at most about so many samples beyond the last `window`.
 
@@ -73,6 +77,17 @@ class SampleStream(Source):
     Use it in a ``with`` block: entering starts the processes, and leaving it ends them, also on
     Ctrl-C. They end by themselves if this process is killed. Scripts must guard their top level
     with ``if __name__ == "__main__"``, because the processes are spawned.
+
+    Examples
+    --------
+    >>> from spectra_kit.neo.train.samples import CorpusConfig
+    >>> from spectra_kit.neo.train.stream import SampleStream
+    >>> config = CorpusConfig(seed=0, n_points=128, k=4)
+    >>> with SampleStream(config, workers=1, capacity=64) as stream:
+    ...     enough = stream.ready(3, timeout=60)
+    ...     points = stream.corpus().batch([0, 2]).points
+    >>> enough, points.shape
+    (True, (2, 128, 3))
     """
 
     def __init__(
@@ -83,6 +98,7 @@ class SampleStream(Source):
         capacity: int,
         start: int = 0,
         folder: str | os.PathLike[str] | None = None,
+        keep: bool = False,
         ahead: int | None = None,
     ) -> None:
         self._workers = check_count("workers", workers, low=1)
@@ -97,7 +113,7 @@ class SampleStream(Source):
         self._ahead = None if ahead is None else check_count("ahead", ahead, low=1)
         self._first = self._asked = start  # of the last window, and where it ends
         self.n_points, self.k, self.has_operators = config.n_points, config.k, True
-        self._config = config
+        self._config, self._keep = config, keep
         self._folder = None if folder is None else Path(folder)
         self._samples: deque[Samples] = deque(maxlen=None if ahead is not None else capacity)
         self._unsaved: list[Samples] = []
@@ -109,12 +125,16 @@ class SampleStream(Source):
         if self._folder is not None:
             self._folder.mkdir(parents=True, exist_ok=True)
             claim(self._folder, self._config)
-            _mark(self._folder)
+            if not self._keep:
+                _mark(self._folder)
             self._load(self._folder)
         self._collecting = self._thread.submit(self._collect)
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
         """End the processes; what is in the buffer stays readable."""
         self._stop.set()
         self._thread.shutdown()
@@ -138,8 +158,11 @@ class SampleStream(Source):
     def begin(self, config: TrainConfig) -> None:
         """Have more to show than the same few samples, where what is there is shown."""
         if not config.shown:
-            self.ready(min(self.capacity, _BEGIN * config.batch), timeout=60)
-            self.ready(1, timeout=math.inf)
+            most = self.capacity if self._ahead is None else min(self.capacity, self._ahead)
+            self.ready(min(most, _BEGIN * config.batch), timeout=_PATIENCE)
+            if not self.made and not self._stop.is_set():
+                warn("waiting for the first sample", SpectraKitWarning)
+                self.ready(1, timeout=math.inf)
 
     def draw(self, config: TrainConfig, step: int) -> tuple[NDArray[np.int64], Reader]:
         """See `Source`; waits for the samples where it is said how often each is shown."""
@@ -215,8 +238,10 @@ class SampleStream(Source):
         first = end = self._next // size
         while end in numbers:
             end += 1
-        _remove(folder, numbers - set(range(first, end)))  # what is behind a gap, too
-        if first == end:
+        if not self._keep:
+            _remove(folder, numbers - set(range(first, end)))  # what is behind a gap, too
+            numbers &= set(range(first, end))
+        if not numbers:
             return
         there = open_shards(folder)
         if not np.array_equal(there.labels["index"], np.arange(first * size, end * size)):
@@ -255,6 +280,8 @@ class SampleStream(Source):
         index = self._next // size - 1
         write_shard(self._folder, index, Samples.joined(self._unsaved))
         self._unsaved = []
+        if self._keep:
+            return
         last = self._first // size - _SPARE
         last = index - max(1, self.capacity // size) if self._ahead is None else last
         _remove(self._folder, [number for number in _numbers(self._folder) if number <= last])
@@ -284,7 +311,7 @@ def _mark(folder: Path) -> None:
             "folder",
             "have been begun by a stream, which removes shards",
             f"a corpus in {folder}",
-            advice="take another folder, or train on this one without a stream",
+            advice="take another folder, let the stream `keep` its shards, or train without one",
         )
     mark.touch()
 

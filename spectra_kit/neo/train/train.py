@@ -178,7 +178,8 @@ def train(
         enter(run.threads)
         if config.compile:
             run.compile(validation.n_points)
-        corpus.begin(config)
+        if begin := getattr(corpus, "begin", None):  # a source of somebody else may have nothing
+            begin(config)
         batch_of = enter(Loader(corpus, config, run.device, share=ranks.share(config.batch)))
         interrupted = enter(_until_interrupt())
         if last and pause_after is not None:
