@@ -18,7 +18,7 @@ from spectra_kit.operators import intrinsic_delaunay
 SOLVERS = [Direct(), Iterative(), Iterative(coarse="none", drop=None, relaxation=0.0)]
 BALL = sphere(subdivisions=3).geometry
 SHEET = rectangle(n=600).geometry
-BODIES = {"ball": BALL, "sheet": SHEET, "animal": creature(900, seed=0)}
+BODIES = {"ball": BALL, "sheet": SHEET, "animal": creature(1500, seed=0)}
 SOURCE = 5
 
 
