@@ -1,4 +1,9 @@
-"""Each name of the catalogue makes what it says, and spectra know the name of their solver."""
+"""Each name of the catalogue makes what it says, and spectra know the name of their solver.
+
+What names of it stand elsewhere by hand, as type checkers want it, are the same.
+"""
+
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -6,8 +11,14 @@ from conftest import bumpy
 
 import spectra_kit as sk
 from spectra_kit.catalogue import OPERATORS, SOLVERS, SUBSPACES
+from spectra_kit.cli import options
+from spectra_kit.datasets import Plan, plan
 from spectra_kit.eigen import Eigensolver
 from spectra_kit.eigen.subspaces import Subspace
+from spectra_kit.features import DESCRIPTORS
+from spectra_kit.geometry import io
+from spectra_kit.geometry.formats import foreign
+from spectra_kit.learn import tensors
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -52,3 +63,28 @@ def test_the_default_line() -> None:
         by_hand = sk.eigensolve(assemble(geometry), 5)
         assert (sk.laplacian(geometry).stiffness != assemble(geometry).stiffness).nnz == 0
         assert (sk.spectrum(geometry, 5).eigenvalues == by_hand.eigenvalues).all()
+
+
+@pytest.mark.parametrize("asked", [sk.laplacian, Plan])
+def test_operators_are_asked_for_by_these_names(asked) -> None:
+    assert names_in(get_type_hints(asked)["operator"]) == set(OPERATORS)
+
+
+def test_descriptors_are_asked_for_by_one_list_of_names() -> None:
+    assert names_in(plan.Descriptor) == set(DESCRIPTORS) == set(tensors._POWERS)
+
+
+def test_what_is_read_is_told_and_not_sent_elsewhere() -> None:
+    assert {f".{name}" for name in options.FORMATS.split(", ")} == set(io.READERS)
+    elsewhere = {suffix for told in (foreign._CALLS, foreign._WORDS) for suffix in each(told)}
+    assert not elsewhere & set(io.READERS)
+
+
+def each(told: dict[str, str]) -> list[str]:
+    return " ".join(told.values()).split()
+
+
+def names_in(hint: object) -> set[str]:
+    """Return the words among which a hint lets choose."""
+    words = {hint} if isinstance(hint, str) else set()
+    return words.union(*(names_in(part) for part in get_args(hint)))
