@@ -378,8 +378,7 @@ def _check_orthonormal(name: str, modes: NDArray[np.floating], mass: Floats) -> 
             "hold M-orthonormal modes",
             f"|U^T M U - I| of up to {error:.2g}",
             advice="of any columns,"
-            " eigensolve(laplacian, k, RayleighRitz(subspace=GivenBasis(columns))) makes modes,"
-            " and linalg.orthonormalize(columns, mass) a basis",
+            " eigensolve(laplacian, k, RayleighRitz(subspace=GivenBasis(columns))) makes modes",
         )
 
 
