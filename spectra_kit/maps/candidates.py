@@ -36,7 +36,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit.eigen import Spectrum
 from spectra_kit.maps.nearest import nearest_each_way
-from spectra_kit.maps.prepare import LOWEST_K, REFINED_K, Prepared, curvatures
+from spectra_kit.maps.prepare import FORM_K, LOWEST_K, REFINED_K, Prepared, curvatures
 from spectra_kit.maps.surface import outward_normals, unit_rows
 
 _CURVATURES = 3  # of the smoothed ones, from the finest
@@ -112,12 +112,12 @@ def _starts(a: Spectrum, b: Spectrum, count: int) -> Floats:
 
 
 class _Samples(NamedTuple):
-    """What maps are compared by, at samples of both surfaces; m and c are 0 where none is known."""
+    """What maps are compared by at samples; pairs and c are 0 without geometries."""
 
     scale: Floats  # (pairs,) of the target's area forms
     rows1: Floats  # (s1, 30) modes of the source
     rows2: Floats  # (s2, 30) and of the target
-    forms1: Floats  # (s1, m, m) area forms of the lowest modes
+    forms1: Floats  # (s1, pairs) area forms of pairs of the lowest modes
     forms2: Floats  # (s2, pairs), scaled
     curved1: Floats  # (s1, c) curvatures
     curved2: Floats  # (s2, c)
@@ -149,33 +149,24 @@ class _Samples(NamedTuple):
         return scores.argmax(axis=2), scores.max(axis=2).sum(axis=1)
 
     def _mapped_forms(self, maps: Floats) -> Floats:
-        """Return the forms of the mapped modes at the source's samples, (c, s1, pairs)."""
-        forms = self.forms1
-        c, s, q = len(maps), *forms.shape[:2]
-        m = min(q, maps.shape[1])
-        C = np.zeros((c, q, m))
-        C[:, :m] = maps[:, :m, :m]
-        half = C @ forms[:, :m, :m].transpose(1, 0, 2).reshape(m, s * m)
-        turned = (half.reshape(c, q * s, m) @ C.transpose(0, 2, 1)).reshape(c, q, s, q)
-        i, j = _pairs(q)
-        return np.asarray(turned.transpose(0, 2, 1, 3)[:, :, i, j] / self.scale)
+        """Return the forms of the mapped modes at the source's samples, (c, s1, pairs).
+
+        They are antisymmetric, so that a map takes those of pairs to one another by its minors.
+        """
+        m = min(_FORM_MODES, maps.shape[1])
+        C = np.zeros((len(maps), _FORM_MODES, _FORM_MODES))
+        C[:, :m, :m] = maps[:, :m, :m]
+        a, b = _pairs(_FORM_MODES)
+        i, j = a[:, None], b[:, None]
+        minors = C[:, i, a] * C[:, j, b] - C[:, i, b] * C[:, j, a]
+        return np.asarray(self.forms1 @ minors.transpose(0, 2, 1) / self.scale)
 
 
 def _sampled(source: Prepared, target: Prepared, mirrored: bool) -> _Samples:
     """Return what candidates of one orientation grow by."""
     sides = [(side, side.samples[:_SAMPLES]) for side in (source, target)]
     rows = [side.spectrum.eigenvectors[chosen, :LOWEST_K] for side, chosen in sides]
-    m = _FORM_MODES
-    forms1, on_target = (
-        np.einsum(
-            "sl,lij->sij",
-            side.spectrum.eigenvectors[chosen, : len(side.form)],
-            side.form[:, :m, :m],
-        )
-        for side, chosen in sides
-    )
-    i, j = _pairs(forms1.shape[1])
-    forms2 = on_target[:, i, j]
+    forms1, forms2 = (_forms_at(side, chosen, _FORM_MODES) for side, chosen in sides)
     scale = np.sqrt((forms2**2).mean(axis=0))
     forms2 = (-forms2 if mirrored else forms2) / scale
     both = curvatures(source, target) or [np.empty((side.spectrum.n, 0)) for side, _ in sides]
@@ -183,9 +174,18 @@ def _sampled(source: Prepared, target: Prepared, mirrored: bool) -> _Samples:
     return _Samples(scale, rows[0], rows[1], forms1, forms2, curved[0], curved[1])
 
 
+def _forms_at(side: Prepared, chosen: Ints, m: int) -> Floats:
+    """Return the area forms of pairs of the m lowest modes at some points, (s, pairs)."""
+    i, j = _pairs(min(m, len(side.form)))
+    return np.asarray(side.spectrum.eigenvectors[chosen, : len(side.form)] @ side.form[:, i, j])
+
+
 def _pairs(m: int) -> tuple[Ints, Ints]:
-    """Return the pairs i < j of m modes whose area form may be other than 0: not the constant."""
-    i, j = np.triu_indices(m, 1)
+    """Return the pairs i < j of m modes whose area form may be other than 0: not the constant.
+
+    Those of fewer modes come first.
+    """
+    j, i = np.tril_indices(m, -1)
     return i[i > 0], j[i > 0]
 
 
@@ -194,7 +194,8 @@ class Side(NamedTuple):
 
     rows: Floats  # (s, k) its modes
     eigenvalues: Floats  # (k,)
-    forms: Floats  # (s, q, q): n . (grad u_i x grad u_j)
+    form_modes: int
+    forms: Floats  # (s, pairs): n . (grad u_i x grad u_j), i < j
     curvature: Floats  # (s, c)
     positions: Floats  # (k, 3): coefficients of the positions
     normals: Floats  # (k, 3): and of the normals
@@ -202,10 +203,8 @@ class Side(NamedTuple):
 
     def bent_normals(self, positions: Floats) -> Floats:
         """Return unit normals at the samples, (s, 3), with other coefficients of the positions."""
-        q = min(self.forms.shape[1], len(positions))
-        turns = positions[:q].T @ (self.forms[:, :q, :q] @ positions[:q])
-        normals = np.stack([turns[:, 1, 2], turns[:, 2, 0], turns[:, 0, 1]], axis=1)
-        return unit_rows(normals)
+        i, j = _pairs(min(self.form_modes, len(positions)))
+        return unit_rows(self.forms[:, : len(i)] @ np.cross(positions[i], positions[j]))
 
 
 class Rigid(NamedTuple):
@@ -217,7 +216,7 @@ class Rigid(NamedTuple):
 
 def side_of(prepared: Prepared, mirrored: bool = False) -> Side:
     """Return a surface at its samples; `mirrored`, its mirror image."""
-    surface, spectrum, form = prepared.surface, prepared.spectrum, prepared.form
+    surface, spectrum = prepared.surface, prepared.spectrum
     chosen = prepared.samples[:SAMPLES]
     points = surface.points - surface.mass @ surface.points / surface.mass.sum()
     _, axes = np.linalg.eigh((points * surface.mass[:, None]).T @ points)
@@ -226,9 +225,10 @@ def side_of(prepared: Prepared, mirrored: bool = False) -> Side:
     if mirrored:
         axes = axes * [-1.0, 1.0, 1.0]
     points, normals = points @ axes, outward_normals(surface.points, surface.oriented) @ axes
-    forms = np.tensordot(spectrum.eigenvectors[chosen, : len(form)], form, axes=(1, 0))
+    forms = _forms_at(prepared, chosen, FORM_K)
     return Side(
         rows=spectrum.eigenvectors[chosen],
+        form_modes=len(prepared.form),
         eigenvalues=spectrum.eigenvalues,
         forms=-forms if mirrored else forms,
         curvature=prepared.curvature[chosen, :_CURVATURES],

@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
+import igl
 import numpy as np
 from scipy.sparse.csgraph import connected_components, dijkstra
 
@@ -377,14 +378,17 @@ def likely_regions(part: Prepared, whole: Prepared, count: int) -> list[Region]:
     k = min(_COMPARED, part.spectrum.k, whole.spectrum.k)
     wanted = _seen(part.spectrum.truncate(k))
 
+    cotan_laplacian(whole.surface.mesh)  # refuses triangles without cotangents, once for all
+
     def unlikeness(piece: Region) -> tuple[float, float]:
-        operator = cotan_laplacian(piece.mesh)
+        corners = piece.mesh.points, np.array(piece.mesh.faces)
+        stiffness, mass = -igl.cotmatrix(*corners), igl.massmatrix(*corners).diagonal()
         basis = whole.spectrum.eigenvectors[piece.vertices, :_RITZ]
-        pairs = ritz_pairs(operator.stiffness, operator.mass, basis, k, rank_tol=_DEPENDENT)
+        pairs = ritz_pairs(stiffness, mass, basis, k, rank_tol=_DEPENDENT)
         if len(pairs.eigenvalues) < k:  # too small for the modes of the whole to tell
             return np.inf, np.inf
         values = np.append(0.0, pairs.eigenvalues[1:])
-        found = Spectrum(values, pairs.eigenvectors, operator.mass)
+        found = Spectrum(values, pairs.eigenvectors, mass)
         seen = _seen(found.rescale(found.area**-0.5))
         return float(np.abs(seen[0] - wanted[0]).mean()), float(np.abs(seen[1] - wanted[1]).mean())
 
