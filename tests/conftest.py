@@ -104,7 +104,7 @@ def ball(n: int, seed: int = 0) -> np.ndarray:
 @cache
 def bumpy(n: int = 642) -> TriangleMesh:
     """A sphere with bumps of no symmetry: every low eigenvalue is simple."""
-    ball = sphere(subdivisions=3 if n <= 642 else 4).geometry
+    ball = sphere(subdivisions=2 if n <= 162 else 3 if n <= 642 else 4).geometry
     p = np.array(ball.points)
     wave = 0.2 * np.sin(2 * p[:, 0] + 1) + 0.15 * np.cos(3 * p[:, 1] - p[:, 2]) + 0.1 * p[:, 2] ** 3
     return TriangleMesh(p * (1 + wave[:, None]) * [1.0, 1.3, 1.7], ball.faces)

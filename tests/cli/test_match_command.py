@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import creature
+from conftest import bumpy, creature
 from running import printed, record, refusal
 from scipy import sparse
 from scipy.spatial.transform import Rotation
@@ -166,20 +166,20 @@ def test_a_part_that_lacks_nothing_covers_all(files, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_what_the_part_lacks_is_not_covered(files, tmp_path, capsys):
-    animal, out = creature(600), tmp_path / "out"
-    left = animal.points[:, 0] < 0.6  # no head, no neck
-    faces = animal.faces[left[animal.faces].all(axis=1)]
-    part = largest_component(TriangleMesh(animal.points, faces))
+def test_what_the_part_lacks_is_not_covered(tmp_path, capsys):
+    whole, out = bumpy(), tmp_path / "out"
+    left = whole.points[:, 2] < 0.5 * whole.points[:, 2].max()
+    part = largest_component(TriangleMesh(whole.points, whole.faces[left[whole.faces].all(axis=1)]))
     write(part.mesh, tmp_path / "part.off")
-    pair = (tmp_path / "part.off", files / "animal.off", "--part", "--sides", "kept")
+    write(whole, tmp_path / "whole.off")
+    pair = (tmp_path / "part.off", tmp_path / "whole.off", "--part", "--sides", "kept")
     text, _ = printed(capsys, "match", *pair, "-k", 30, "-o", out, "--dpi", 30)
     assert f"the map: the point of {pair[0]} that each covered point of {pair[1]} is" in text
-    covered, kept = np.load(out / "covered.npy"), np.isin(np.arange(600), part.vertex_index)
+    covered, kept = np.load(out / "covered.npy"), np.isin(np.arange(whole.n), part.vertex_index)
     assert (covered == kept).mean() > 0.95
     found = json.loads((out / "report.json").read_text())["match"]
     assert found["covered_points"] == covered.sum()
-    assert found["covered_area"] == pytest.approx(part.mesh.area / animal.area, rel=0.1)
+    assert found["covered_area"] == pytest.approx(part.mesh.area / whole.area, rel=0.1)
     assert found["coverage"] > 0.9
     assert found["point_map_orientation"] > 0.9
     assert (out / "correspondence.png").is_file()

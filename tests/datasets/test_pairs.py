@@ -28,7 +28,7 @@ from spectra_kit.datasets.run import own_order
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidFileError, InvalidInputError
 from spectra_kit.geometry import TriangleMesh, mirrored, write
 
-PLAN = Plan(k=60)
+PLAN = Plan(k=40)
 QUICK = Matching(options=sk.maps.MatchOptions(growing=16, finalists=3, rounds=1))
 
 
@@ -43,9 +43,9 @@ def shuffled(mesh, seed):
 def shapes(tmp_path_factory):
     """Files of an animal, its mirror image, a shuffled copy, and one in two parts."""
     folder = tmp_path_factory.mktemp("shapes")
-    write(creature(600), folder / "animal.off")
-    write(mirrored(creature(600)), folder / "image.off")
-    write(shuffled(creature(600), 0)[0], folder / "shuffled.off")
+    write(creature(520), folder / "animal.off")
+    write(mirrored(creature(520)), folder / "image.off")
+    write(shuffled(creature(520), 0)[0], folder / "shuffled.off")
     write(two_parts(), folder / "parts.off")
     return {path.stem: path for path in sorted(folder.glob("*.off"))}
 
@@ -97,12 +97,12 @@ def test_maps_are_the_true_ones_and_those_of_match(store):
     ]
     told = []
     prepared.cache_clear()
-    report = match_all(pairs, store, progress=lambda *args: told.append(args))
+    report = match_all(pairs, store, matching=QUICK, progress=lambda *args: told.append(args))
     assert told == [(1, 3), (2, 3), (3, 3)]
     assert prepared.cache_info().misses == 3  # once each, for two pairs
     assert (report.computed, report.failed, report.replaced) == (3, (), ())
-    _, order = shuffled(creature(600), 0)
-    truths = [np.arange(600), order, order]
+    _, order = shuffled(creature(520), 0)
+    truths = [np.arange(520), order, order]
     for (pair, done), truth, turned in zip(
         report.completed, truths, (True, False, True), strict=True
     ):
@@ -226,17 +226,17 @@ def test_unlike_shapes_are_not_convincing_and_no_warning_is_given(tmp_path, shap
     assert {"score", "coverage"} & set(found.record.doubts)
     sides = [sk.read(path) for path in (shapes["animal"], tmp_path / "bumpy.off")]
     with pytest.warns(DoubtfulMatchWarning):
-        sk.match(*(sk.prepare(sk.spectrum(one, 60), one) for one in sides), options=QUICK.options)
+        sk.match(*(sk.prepare(sk.spectrum(one, 40), one) for one in sides), options=QUICK.options)
 
 
 def test_several_plans_in_one_store(store, shapes):
-    filled(store.path, shapes, ("animal", "image"), Plan(k=40))
+    filled(store.path, shapes, ("animal", "image"), Plan(k=30))
     refused("store", "hold spectra of one plan, or be told of which", find_pairs, "all", store)
-    pairs = find_pairs("all", store, Plan(k=40))
+    pairs = find_pairs("all", store, Plan(k=30))
     assert [pair.name for pair in pairs] == ["animal to image"]
     refused("store", "hold spectra of one plan", match_all, pairs, store)
-    (_, found), *_ = match_all(pairs, store, Plan(k=40), matching=QUICK).completed
-    assert len(load_match(store, found.record.key).functional_map) == 40
+    (_, found), *_ = match_all(pairs, store, Plan(k=30), matching=QUICK).completed
+    assert len(load_match(store, found.record.key).functional_map) == 30
 
 
 def test_maps_go_with_the_spectra_that_they_join(mapped, monkeypatch):

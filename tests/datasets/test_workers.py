@@ -139,7 +139,7 @@ def test_no_workers_start_for_what_does_not_pay():
 
 @pytest.mark.skipif(usable_cores() < 2, reason="one core is this process's")
 def test_workers_start_for_what_pays():
-    todo = [Works(str(i), 0.01) for i in range(10**6)]
+    todo = [Works(str(i), 0.1) for i in range(10**5)]
     handed = []
 
     def engine(tasks):
@@ -332,7 +332,7 @@ def test_what_cannot_be_handed_to_workers_is_told(workers, scans, store):
 
 @pytest.mark.slow
 def test_ctrl_c_ends_workers_without_a_word_of_theirs(tmp_path):
-    write_sizes(tmp_path, 8)
+    write_sizes(tmp_path, 8, n=642)
     command = [sys.executable, "-m", "spectra_kit", "batch", str(tmp_path), "-k", "200",
                "--nworkers", "1", "--out", str(tmp_path / "store")]  # fmt: skip
     run = subprocess.Popen(

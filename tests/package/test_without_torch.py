@@ -18,7 +18,7 @@ from spectra_kit.geometry import creature, rectangle
 from spectra_kit.maps import zoomout
 
 sk.features.heat_kernel_signature
-pose, other = creature(900, seed=0), creature(800, seed=0, pose=1)
+pose, other = creature(600, seed=0), creature(520, seed=0, pose=1)
 laplacian = sk.robust_laplacian(pose)
 exact = sk.eigensolve(laplacian, 12, sk.Dense())
 solvers = [
@@ -31,12 +31,12 @@ for solver in solvers:
 plane = sk.robust_laplacian(rectangle(n=16_500).geometry)
 assert sk.eigensolve(plane, 12, sk.Automatic(accuracy=1e-2)).provenance.name == "cascade"
 sk.HeatGeodesics(pose, exact).distance(0)
-sides = [sk.prepare(sk.spectrum(mesh, 60), mesh) for mesh in (pose, other)]
-found = sk.match(*sides)
+sides = [sk.prepare(sk.spectrum(mesh, 40), mesh) for mesh in (pose, other)]
+found = sk.match(*sides, options=sk.maps.MatchOptions(growing=16, finalists=3, rounds=1))
 spectra = [sk.spectrum(mesh, 30) for mesh in (pose, other)]
 zoomout(*spectra, found.point_map, k_final=30)
 SpectrumStore(sys.argv[1] + "/store").spectrum(pose, Plan(k=12))
-sys.exit(main(["modes", "demo", "--points", "900", "-k", "6", "-o", sys.argv[1] + "/modes.png"]))
+sys.exit(main(["modes", "demo", "--points", "600", "-k", "6", "-o", sys.argv[1] + "/modes.png"]))
 """
 
 

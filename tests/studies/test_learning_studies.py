@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from studies import run as command
-from studies.learning import classification, segmentation
+from studies.learning import classification, labelled, segmentation
 from studies.learning.classification import (
     FREE,
     TRAINED,
@@ -38,6 +38,7 @@ def shapes():
 
 @pytest.fixture(autouse=True)
 def fewer_modes(monkeypatch):
+    monkeypatch.setattr(classification, "K", 64)
     monkeypatch.setattr(segmentation, "K", 24)
 
 
@@ -196,13 +197,13 @@ def test_parts_are_learned_and_kept(shapes, tmp_path):
         for name in ("meshes", "vertex_labels", "face_labels")
     }
     shapes = replace(shapes, **twice)  # one of the test split is learned from, too
-    study = Parts(folder=tmp_path, contenders=[row], problems=[0], sets={"demo": shapes}, epochs=3)
+    study = Parts(folder=tmp_path, contenders=[row], problems=[0], sets={"demo": shapes}, epochs=2)
     (result,) = run(study, Store(tmp_path), jobs=0)
     record = result.record
     assert record["examples"] == 9
     assert record["seen"] == 1
     assert record["unseen"]["iou"] != record["iou"]
-    assert [epoch for epoch, _ in record["curve"]] == [1, 2, 3]
+    assert [epoch for epoch, _ in record["curve"]] == [1, 2]
     assert 0 < record["iou"] <= 1
     assert record["turned"]["iou"] == pytest.approx(record["iou"], abs=0.2)
     from spectra_kit.learn import load_labeller
@@ -268,7 +269,8 @@ def test_a_source_of_the_training_split_is_held_out_to_choose_by(shapes, tmp_pat
 
 
 @pytest.mark.slow
-def test_both_commands_write_their_tables(tmp_path):
+def test_both_commands_write_their_tables(shapes, tmp_path, monkeypatch):
+    monkeypatch.setattr(labelled, "demo_set", lambda: shapes)
     out, row = tmp_path / "classes", "heat, nearest; mesh, exact"
     words = ["classification", str(out), "--set", "demo", "--rows", row, "--shots", "2"]
     assert command.main([*words, "--seeds", "1", "--draws", "2", "--jobs", "0"]) == 0

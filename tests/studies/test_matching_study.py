@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import bumpy, creature
 from studies import run as command
-from studies.matching import methods, sets
+from studies.matching import collection, dense, methods, sets
 from studies.matching.command import summarize
 from studies.matching.measures import THRESHOLDS, best_candidate, measure_map
 from studies.matching.methods import METHODS, Entry, Outcome, Side
@@ -300,8 +300,8 @@ def test_summaries_do_their_sums():
 # --- the commands ---
 
 
-def test_the_command_matches_draws_and_goes_on(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(sets, "demo_subjects", lambda: demo_subjects(500, poses=2))
+def test_the_command_matches_draws_and_goes_on(subjects, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(sets, "demo_subjects", lambda: dict([*subjects.items()][:2]))
     words = ["matching", str(tmp_path), "--demo", "--pairs", "2", "-k", "30", "--jobs", "0"]
     words += ["--methods", PLAIN]
     assert command.main(words) == 0
@@ -315,8 +315,8 @@ def test_the_command_matches_draws_and_goes_on(tmp_path, capsys, monkeypatch):
     assert (tmp_path / "measurements.jsonl").read_text() == journal
 
 
-def test_failures_are_told_and_an_interrupt_goes_on(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(sets, "demo_subjects", lambda: demo_subjects(500, poses=2))
+def test_failures_are_told_and_an_interrupt_goes_on(subjects, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(sets, "demo_subjects", lambda: dict([*subjects.items()][:2]))
     words = ["matching", str(tmp_path), "--demo", "--pairs", "1", "--jobs", "0", "--no-pictures"]
     assert command.main([*words, "--methods", PLAIN, "-k", "9999"]) == 1
     said = capsys.readouterr().out
@@ -331,15 +331,17 @@ def test_failures_are_told_and_an_interrupt_goes_on(tmp_path, capsys, monkeypatc
     assert "the same command goes on from here" in capsys.readouterr().err
 
 
-def test_sets_are_matched_as_one_collection_and_with_many_vertices(tmp_path):
-    for name, subject in demo_subjects(500, poses=2).items():
+def test_sets_are_matched_as_one_collection_and_with_many_vertices(subjects, tmp_path, monkeypatch):
+    for study in (collection, dense):
+        monkeypatch.setattr(study, "_MODES", 60)
+    for name, subject in [*subjects.items()][:2]:
         write_subject(tmp_path / f"{name}.npz", subject.mesh, corres=subject.landmarks)
     out, data = tmp_path / "out", ["--data", str(tmp_path)]
     assert command.main(["collection", str(out), *data, "--pairs", "1"]) == 0
     [row] = json.loads((out / "collection.json").read_text())["tables"]["Maps between pairs"]
     assert (row["shapes"], row["groups"], row["fits no other"]) == (2, [2], "")
     assert row["worst"] < 5
-    assert command.main(["dense", str(out), *data, "--pairs", "1", "--vertices", "1500"]) == 0
+    assert command.main(["dense", str(out), *data, "--pairs", "1", "--vertices", "1000"]) == 0
     [record] = map(json.loads, (out / "measurements.jsonl").read_text().splitlines())
-    assert record["vertices"] >= 1500
+    assert record["vertices"] >= 1000
     assert max(record["error"], record["coarse"], record["rounded"]) < 5

@@ -46,11 +46,15 @@ class Setting:
         """Options of a run by the workers."""
         return ("--nworkers", str(self.workers))
 
-    def begin(self, store: Path, *options: str) -> subprocess.Popen[str]:
-        """Begin a run over all shapes."""
+    def command(self, store: Path, *options: str) -> list[str]:
+        """Return the command of a run over all shapes."""
         listed = self.folder / "shapes.csv"
         listed.write_text("file\n" + "".join(f"{path.absolute()}\n" for path in self.shapes))
-        command = [*_COMMAND, str(listed), "--out", str(store), *options]
+        return [*_COMMAND, str(listed), "--out", str(store), *options]
+
+    def begin(self, store: Path, *options: str) -> subprocess.Popen[str]:
+        """Begin a run."""
+        command = self.command(store, *options)
         return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
     def run(self, store: Path, *options: str) -> tuple[Facts, float]:

@@ -173,7 +173,7 @@ def seconds(published: Published, mesh: TriangleMesh) -> dict[str, dict[str, flo
     """Return the CPU seconds of each maker's stages on a mesh, once all is loaded and compiled."""
     found = {}
     for name, make in makers(published).items():
-        for surface in (creature(10_000), mesh):
+        for surface in (creature(min(10_000, mesh.n)), mesh):
             found[name] = make(*published.prepared(surface)).seconds
     return found
 
