@@ -180,7 +180,7 @@ def bumpy_laplacian() -> Laplacian:
 
 @pytest.fixture(scope="session")
 def animal() -> Laplacian:
-    return robust_laplacian(creature(4000, seed=0))
+    return robust_laplacian(creature(3000, seed=0))
 
 
 @pytest.fixture(scope="session")

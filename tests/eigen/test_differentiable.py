@@ -102,7 +102,7 @@ def test_gradients_are_those_of_finite_differences(made, operator, boundary) -> 
     rng = RNG(2)
     weights = rng.standard_normal(8)
     found = gradient(mesh, weights, **options)
-    for _ in range(3):
+    for _ in range(2):
         direction = rng.standard_normal((mesh.n, 3)) * np.sqrt(mesh.area / mesh.n)
         expected = change(mesh, direction, weights, 1e-6, **options)
         assert (found * direction).sum() == pytest.approx(expected, rel=2e-6, abs=1e-7)
@@ -238,15 +238,6 @@ def test_cotangents_agree_with_the_dense_derivatives_of_torch() -> None:
     weights[0] = 0
     found = gradient(mesh, weights.numpy(), operator="cotan")
     np.testing.assert_allclose(found, expected.numpy(), atol=1e-9 * np.abs(found).max())
-
-
-@pytest.mark.parametrize("operator", OPERATORS)
-def test_gradcheck_of_a_small_mesh(operator: str) -> None:
-    mesh = sphere(subdivisions=0).geometry
-    mesh = mesh.with_points(mesh.points * [1, 1.2, 1.5] + 0.1 * RNG(5).standard_normal((12, 3)))
-    assert torch.autograd.gradcheck(
-        lambda points: mesh_eigenvalues(points, mesh.faces, 5, operator=operator)[1:], leaf(mesh)
-    )
 
 
 def test_gradients_have_the_type_of_the_points_and_refuse_second_derivatives() -> None:
@@ -419,13 +410,13 @@ def spring_laplacian(springs: Tensor, ends: Tensor, n: int) -> Tensor:
 
 @pytest.mark.parametrize("fixed", [(), (0, 3)])
 def test_gradcheck_of_springs_and_masses(fixed: tuple[int, ...]) -> None:
-    n, rng = 9, RNG(9)
+    n, rng = 6, RNG(9)
     ends = torch.tensor([(i, j) for i in range(n) for j in range(i) if (i * j) % 3 != 1]).T
     springs = torch.tensor(rng.uniform(0.5, 2, ends.shape[1]), requires_grad=True)
     mass = torch.tensor(rng.uniform(0.5, 2, n), requires_grad=True)
 
     def function(springs: Tensor, mass: Tensor) -> Tensor:
-        return eigenvalues(spring_laplacian(springs, ends, n), mass, 5, fixed=fixed)
+        return eigenvalues(spring_laplacian(springs, ends, n), mass, 3, fixed=fixed)
 
     assert torch.autograd.gradcheck(function, (springs, mass))
 

@@ -27,7 +27,7 @@ def cloud() -> sk.PointCloud:
 
 
 def noisy() -> sk.TriangleMesh:
-    mesh = creature(8000, seed=1)
+    mesh = creature(4000, seed=1)
     edges = np.diff(mesh.points[mesh.unique_edges[0]], axis=1)
     spacing = np.linalg.norm(edges, axis=-1).mean()
     rng = np.random.default_rng(2)
@@ -35,9 +35,9 @@ def noisy() -> sk.TriangleMesh:
 
 
 SHAPES = {
-    "sphere": lambda: sphere(subdivisions=5).geometry,
-    "torus": lambda: torus(n=7200).geometry,
-    "animal": lambda: creature(8000, seed=0),
+    "sphere": lambda: sphere(subdivisions=4).geometry,
+    "torus": lambda: torus(n=3600).geometry,
+    "animal": lambda: creature(4000, seed=0),
     "noisy": noisy,
     "cloud": cloud,
 }

@@ -32,7 +32,13 @@ def bodies() -> tuple[sk.Laplacian, ...]:
 
 def pair() -> sk.Laplacian:
     """Two components."""
-    return robust_laplacian(joined(creature(700, seed=5), moved(creature(600, seed=6), 9, 0, 0)))
+    return robust_laplacian(joined(creature(600, seed=5), moved(creature(550, seed=6), 9, 0, 0)))
+
+
+@cache
+def alone(i: int) -> sk.Spectrum:
+    """Of the body with this number, by a call of its own."""
+    return eigensolve(bodies()[i], K, Neo())
 
 
 def assert_same(found: sk.Spectrum, single: sk.Spectrum, rtol: float = ROUNDING) -> None:
@@ -48,13 +54,12 @@ def assert_same(found: sk.Spectrum, single: sk.Spectrum, rtol: float = ROUNDING)
     assert angles.max() < 1e3 * rtol  # eigenvalues err by the square of what their modes do
 
 
-@pytest.mark.parametrize("batch", [1, 2500, 10_000])
+@pytest.mark.parametrize("batch", [1, 2500])
 def test_spectra_are_those_of_single_calls_in_the_order_given(batch):
-    solver, shapes = Neo(), bodies()
-    found = eigensolve_many(shapes, K, solver, batch=batch)
-    assert [spectrum.n for spectrum in found] == [shape.n for shape in shapes]
-    for spectrum, shape in zip(found, shapes, strict=True):
-        single = eigensolve(shape, K, solver)
+    found = eigensolve_many(bodies(), K, Neo(), batch=batch)
+    assert [spectrum.n for spectrum in found] == [shape.n for shape in bodies()]
+    for i, spectrum in enumerate(found):
+        single = alone(i)
         assert_same(spectrum, single)
         ours, theirs = spectrum.provenance, single.provenance
         for name in ("solver", "name", "input_hash", "accuracy", "iterations", "version"):
@@ -67,11 +72,10 @@ def test_spectra_are_those_of_single_calls_in_the_order_given(batch):
 
 
 def test_another_order_changes_rounding_alone():
-    shapes, order = bodies(), [3, 0, 4, 2, 1]
-    found = eigensolve_many(shapes, K, Neo())
-    turned = eigensolve_many([shapes[i] for i in order], K, Neo())
+    order = [3, 0, 4, 2, 1]
+    turned = eigensolve_many([bodies()[i] for i in order], K, Neo())
     for i, spectrum in zip(order, turned, strict=True):
-        assert_same(spectrum, found[i])
+        assert_same(spectrum, alone(i))
 
 
 @pytest.fixture
@@ -86,7 +90,7 @@ def test_the_number_of_threads_changes_no_bit(monkeypatch, torch_in_two_threads)
     found = []
     for threads in ("1", "3"):
         monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
-        found.append(eigensolve_many(bodies(), K, Neo(), batch=1100))
+        found.append(eigensolve_many(bodies()[2:], K, Neo(), batch=1100))
         assert torch.get_num_threads() == 2
     for one, other in zip(*found, strict=True):
         np.testing.assert_array_equal(one.eigenvalues, other.eigenvalues)
@@ -97,8 +101,11 @@ def test_what_cannot_share_a_pass_is_solved_beside_the_others():
     huge = bodies()[0]
     huge = robust_laplacian(creature(900, seed=0).with_points(1e12 * huge.points))
     cut = bodies()[1].dirichlet(np.arange(50))
-    shapes = [bodies()[0], pair(), cut, huge, bodies()[3]]
-    for spectrum, shape in zip(eigensolve_many(shapes, K, Neo()), shapes, strict=True):
+    beside = [pair(), cut, huge]
+    first, *others, last = eigensolve_many([bodies()[0], *beside, bodies()[3]], K, Neo())
+    assert_same(first, alone(0))
+    assert_same(last, alone(3))
+    for spectrum, shape in zip(others, beside, strict=True):
         assert_same(spectrum, eigensolve(shape, K, Neo()))
 
 
@@ -109,7 +116,7 @@ def test_what_cannot_share_a_pass_is_solved_beside_the_others():
 )
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 def test_every_option_of_the_solver_holds(solver):
-    for spectrum, shape in zip(eigensolve_many(bodies()[:4], K, solver), bodies(), strict=False):
+    for spectrum, shape in zip(eigensolve_many(bodies()[:2], K, solver), bodies(), strict=False):
         assert_same(spectrum, eigensolve(shape, K, solver), 1e-4 if not solver.max_steps else 1e-6)
 
 
@@ -221,7 +228,7 @@ def test_real_clouds_are_solved_as_alone():
     if folder is None or not (folder / "train_pool").is_dir():
         pytest.skip("set SPECTRA_KIT_DATA to the folder of real shapes to run this")
     pool = open_pool(folder / "train_pool", "val")
-    clouds = [sample(pool.mesh(7 * i), 900 + 50 * i, seed=i) for i in range(6)]
+    clouds = [sample(pool.mesh(7 * i), 700 + 50 * i, seed=i) for i in range(3, 6)]
     shapes = [sk.laplacian(cloud) for cloud in (*clouds, torus(n=800).geometry)]
-    for spectrum, shape in zip(eigensolve_many(shapes, 64, Neo()), shapes, strict=True):
-        assert_same(spectrum, eigensolve(shape, 64, Neo()))
+    for spectrum, shape in zip(eigensolve_many(shapes, K, Neo()), shapes, strict=True):
+        assert_same(spectrum, eigensolve(shape, K, Neo()))

@@ -86,25 +86,21 @@ def test_what_was_not_seen_is_told_right_in_any_unit_and_place(shapes, method):
         np.testing.assert_allclose(moved.scores, told.scores, atol=1e-3)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("backbone", "epochs", "points"), [("pointnet++", 12, 64), ("point-transformer", 24, 100)]
-)
-def test_hierarchical_networks_learn_from_turned_eggs_and_a_ring(backbone, epochs, points):
-    ball = sphere(subdivisions=3).geometry.points[::2]
-    shapes = [PointCloud(ball * axes) for axes in ([1, 1, 1], [1, 1, 2.5], [1, 2.5, 2.5])]
-    shapes += [torus(n=300, minor=0.3).geometry]
+@pytest.mark.parametrize(("backbone", "epochs"), [("pointnet++", 8), ("point-transformer", 12)])
+def test_hierarchical_networks_tell_a_turned_egg_from_a_ring(backbone, epochs):
+    egg = PointCloud(sphere(subdivisions=3).geometry.points[::2] * [1, 1, 2.5])
+    shapes = [egg, torus(n=300, minor=0.3).geometry]
     recipe = Recipe(embeddings=(Coordinates(),))
     _, curve = fit(
         recipe,
         Hierarchical(backbone=backbone, width=16, features=False),
         [prepared(recipe, shape)[0] for shape in shapes] * 4,
-        [torch.tensor(i) for i in range(4)] * 4,
-        classes=4,
-        training=Training(epochs=epochs, points=points, smoothing=0.0),
+        [torch.tensor(i) for i in range(2)] * 4,
+        classes=2,
+        training=Training(epochs=epochs, points=64, rate=5e-3, smoothing=0.0),
     )
-    # Who knows nothing has log 4, and stays there.
-    assert np.mean([seen["loss"] for seen in curve[-epochs // 4 :]]) < 0.9 * np.log(4)
+    # Who knows nothing has log 2, and stays there.
+    assert np.mean([seen["loss"] for seen in curve[-epochs // 4 :]]) < 0.9 * np.log(2)
 
 
 def test_one_example_a_class_is_enough_for_each_head(shapes):
@@ -159,7 +155,7 @@ def test_parts_are_learned_and_carried_to_other_samplings(method, recipe):
     mesh = creature(900)
     legs = (mesh.points[:, 2] < np.quantile(mesh.points[:, 2], 0.4)).astype(int)
     found = train_segmenter(
-        [mesh], [legs], recipe=recipe, method=method, training=Training(epochs=60, rate=5e-3)
+        [mesh], [legs], recipe=recipe, method=method, training=Training(epochs=30, rate=1e-2)
     )
     told = found.segment(mesh)
     assert (told.labels == legs).mean() > 0.95
@@ -180,7 +176,7 @@ def test_labels_of_samples_are_carried_to_the_vertices():
     recipe = Recipe(embeddings=(Coordinates(frame="principal"),), k=20, points=900)
     found = train_segmenter(
         [mesh], [north(mesh)], recipe=recipe, method=PointMLP(width=32),
-        training=Training(epochs=120, rate=5e-3),
+        training=Training(epochs=60, rate=1e-2),
     )  # fmt: skip
     told = found.segment(mesh)
     assert told.labels.shape == (mesh.n,)
@@ -198,7 +194,7 @@ def test_faces_teach_what_votes_at_their_corners_do_not():
         told = train_segmenter(
             [ball], [labels.astype(int)], of=of, names=["ball", "belt"],
             recipe=Recipe(embeddings=(Coordinates(),), k=20, upright=True, points=points),
-            method=PointMLP(width=32), training=Training(epochs=120, rate=1e-2, smoothing=0.0),
+            method=PointMLP(width=32), training=Training(epochs=60, rate=2e-2, smoothing=0.0),
         ).segment(ball)  # fmt: skip
         return told.labels == 1, told.face_labels == 1
 
@@ -655,7 +651,7 @@ def test_what_is_trained_anywhere_labels_on_the_cpu(device):
     high = (ball.points[:, 2] > 0).astype(int)
     known = train_segmenter(
         [ball], [high], recipe=Recipe(embeddings=(Coordinates(),), upright=True),
-        method=PointMLP(width=8), training=Training(epochs=150), device=device,
+        method=PointMLP(width=8), training=Training(epochs=60, rate=5e-3), device=device,
     )  # fmt: skip
     assert {part.device.type for part in known.learned.parameters()} == {"cpu"}
     assert (known.segment(ball).labels == high).mean() > 0.95

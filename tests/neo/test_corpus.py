@@ -120,8 +120,8 @@ def test_crowded_samples_are_labelled_and_crowd():
 
 def test_the_operator_comes_with_the_modes_and_meshes_with_their_own(pool):
     made = replace(of_pool(pool, pool_share=0.5), mesh_share=0.6, nonuniform=0.0)
-    whole = [exact_sample(made, index) for index in range(12)]
-    batch = Samples.joined([make_sample(made, index) for index in range(12)])
+    whole = [exact_sample(made, index) for index in range(8)]
+    batch = Samples.joined([make_sample(made, index) for index in range(8)])
     assert {labels["mesh"] for *_, labels in whole} == {0, 1}
     real = {labels["family"] == FROM_POOL for *_, labels in whole if labels["mesh"]}
     assert real == {True, False}

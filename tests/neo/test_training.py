@@ -195,13 +195,13 @@ def test_training_learns(corpora, tmp_path, device, options):
     if device == "cuda" and not torch.cuda.is_available():
         pytest.skip("needs an NVIDIA GPU")
     network = replace(TINY, waves=4, bandwidth=3.0)
-    config = replace(CONFIG, network=network, steps=50, batch=8, validation=8, every=50, **options)
+    config = replace(CONFIG, network=network, steps=30, batch=8, validation=8, every=30, **options)
     torch.manual_seed(config.seed)
     before = validate(NeoNetwork(network).to(device), corpora[1], config)["validation"]
     result = train(*corpora, config, device=device, out=tmp_path)
     assert set(checkpoint.read(tmp_path)["network"]) == set(result.network.state_dict())
     assert result.finished
-    assert result.record["samples"] == 400
+    assert result.record["samples"] == 240
     assert result.record["span_error"] < 0.4 * before
     again = validate(result.network, corpora[1], config)["validation"]
     assert again == pytest.approx(result.record["span_error"], rel=1e-3)
@@ -236,7 +236,7 @@ def of_both_kinds(tmp_path_factory):
 
 def test_training_for_what_smoothing_leaves_learns_and_shares_change_nothing(of_both_kinds):
     corpus = of_both_kinds
-    config = replace(CONFIG, steps=60, batch=8, validation=8, every=60, beta=0.9, smoothing=4)
+    config = replace(CONFIG, steps=30, batch=8, validation=8, every=30, beta=0.9, smoothing=4)
     torch.manual_seed(config.seed)
     before = validate(NeoNetwork(TINY), corpus, config)
     after = train(corpus, corpus, config).record["history"][-1]
@@ -383,9 +383,9 @@ def test_a_pause_keeps_the_schedule_and_a_last_phase_ends_it(corpora, tmp_path):
 
 def test_minutes_end_a_run_with_the_whole_schedule(corpora):
     # The rate falls for most of the time: on a busy machine the last steps are far apart.
-    result = train(*corpora, replace(CONFIG, steps=100_000, minutes=0.04, decay=0.9, every=10))
+    result = train(*corpora, replace(CONFIG, steps=100_000, minutes=0.02, decay=0.9, every=10))
     assert result.finished
-    assert 0.03 <= result.record["minutes"] < 0.5
+    assert 0.015 <= result.record["minutes"] < 0.5
     assert result.record["history"][-1]["lr"] < 0.5 * CONFIG.lr
 
 
@@ -591,7 +591,7 @@ def test_a_killed_run_on_a_stream_ends_as_one_in_a_single_go(tmp_path, monkeypat
 
     def arguments(name):
         values = {"validation": tmp_path / "validation", "out": tmp_path / name, "steps": 16}
-        values |= {"stream": tmp_path / f"{name}_samples", "shown": 2, "capacity": 16, "batch": 4}
+        values |= {"stream": tmp_path / f"{name}_samples", "shown": 2, "capacity": 16, "batch": 2}
         values |= {"points": 100, "modes": 4, "shard-size": 4, "mesh-share": 0.5, "beta": 0.5}
         values |= {"every": 1000, "rows": 1, "save": 0.1}
         words = [str(word) for name, value in values.items() for word in (f"--{name}", value)]
@@ -637,7 +637,7 @@ def test_a_killed_run_on_a_stream_ends_as_one_in_a_single_go(tmp_path, monkeypat
         assert same(found["average"], whole["average"])
         assert curve(tmp_path / name) == curve(tmp_path / "whole")
     kept = sorted((tmp_path / "killed_samples").glob("shard_*"))
-    assert len(kept) < (16 + 4) / 4 + 6  # of 48 samples in all, the last ones
+    assert len(kept) < (16 + 4) / 4 + 3  # of 24 samples in all, the last ones
 
 
 @pytest.mark.slow
@@ -827,7 +827,7 @@ def test_a_run_in_pieces_goes_on_and_its_weights_must_be_better(streamed, tmp_pa
         assert streamed(tmp_path / name, lr=lr, **told) == 0
         assert "no weights written" in capsys.readouterr().out
         assert not (tmp_path / name / "weights.safetensors").exists()
-    assert streamed(tmp_path / "better", **(told | {"steps": 40, "lr": 5e-3})) == 0
+    assert streamed(tmp_path / "better", **(told | {"steps": 24, "lr": 5e-3})) == 0
     record = load_pretrained(tmp_path / "better" / "weights.safetensors").record
     assert record["begun_with"]["record"]["samples"] == state["samples"]
 

@@ -29,11 +29,10 @@ def grid(n: int, stretch: float) -> tuple[sparse.csr_array, np.ndarray]:
     return sparse.csr_array(L), np.sort((one[:, None] + stretch * one).ravel())
 
 
-@pytest.mark.parametrize("stretch", [1.0, 0.7])
-@pytest.mark.parametrize("k", [40, 301])
+@pytest.mark.parametrize(("k", "stretch"), [(40, 1.0), (301, 0.7)])
 def test_the_spectrum_of_a_torus_copies_included(k: int, stretch: float) -> None:
-    L, exact = grid(60, stretch)
-    mass = np.full(3600, 0.5)
+    L, exact = grid(40, stretch)
+    mass = np.full(1600, 0.5)
     found = sliced_eigenpairs(L, mass, k, below=-1e-3, spacing=2 * exact[k] / k)
     assert found.eigenvalues == pytest.approx(2 * exact[:k], abs=1e-11)
     U = found.eigenvectors
@@ -43,18 +42,18 @@ def test_the_spectrum_of_a_torus_copies_included(k: int, stretch: float) -> None
 
 @pytest.mark.parametrize("weight", [1e-7, 0.1])
 def test_clusters_wider_than_the_space_of_a_run(monkeypatch, weight: float) -> None:
-    """Sixty spheres on weak links: sixty values about zero, 180 about two; k cuts these."""
+    """Forty spheres on weak links: forty values about zero, 120 about two; k cuts these."""
     one = sk.robust_laplacian(sphere(subdivisions=1).geometry)
-    ends = one.n * np.arange(59)
-    pick = sparse.eye_array(60 * one.n, format="csr")
+    ends = one.n * np.arange(39)
+    pick = sparse.eye_array(40 * one.n, format="csr")
     links = pick[ends] - pick[ends + one.n + 5]
-    L = sparse.csr_array(sparse.block_diag([one.stiffness] * 60) + weight * (links.T @ links))
-    points = np.vstack([one.points + [5.0 * i, 0, 0] for i in range(60)])
-    laplacian = sk.Laplacian(L, np.tile(one.mass, 60), points)
+    L = sparse.csr_array(sparse.block_diag([one.stiffness] * 40) + weight * (links.T @ links))
+    points = np.vstack([one.points + [5.0 * i, 0, 0] for i in range(40)])
+    laplacian = sk.Laplacian(L, np.tile(one.mass, 40), points)
     spectrum = sk.eigensolve(laplacian, 100)
     exact = sk.eigensolve(laplacian, 100, sk.Dense())
     assert spectrum.eigenvalues == pytest.approx(exact.eigenvalues, rel=1e-9, abs=1e-9)
-    assert spectrum.certificate.n_verified == 100
+    assert (spectrum.provenance.name, spectrum.certificate.n_verified) == ("lanczos", 100)
     if weight == 1e-7:
         monkeypatch.setattr(lanczos, "WIDE", 8)
         monkeypatch.setattr(sk.Dense, "few", 0)  # which would go on from there
@@ -66,7 +65,7 @@ def test_clusters_wider_than_the_space_of_a_run(monkeypatch, weight: float) -> N
 
 @pytest.fixture(scope="module")
 def uneven() -> sk.Laplacian:
-    return sk.robust_laplacian(creature(1800, seed=1))
+    return sk.robust_laplacian(creature(1450, seed=1))
 
 
 @pytest.fixture(scope="module")
@@ -102,10 +101,10 @@ def test_with_too_few_shifts_the_lowest_modes_are_kept(uneven, exact) -> None:
 
 @pytest.mark.parametrize("tol", [1e-7, 1e-2])
 def test_a_tolerance_is_kept_and_all_modes_are_orthonormal(uneven, exact, tol) -> None:
-    loose = sk.eigensolve(uneven, 500, sk.Lanczos(tol=tol))
+    loose = sk.eigensolve(uneven, 450, sk.Lanczos(tol=tol))
     assert loose.certificate.relative_residuals.max() < 1e-4
     assert loose.certificate.orthonormality_error < 1e-11
-    expected = exact.eigenvalues[:500]
+    expected = exact.eigenvalues[:450]
     assert loose.eigenvalues == pytest.approx(expected, rel=1e-8, abs=1e-8)
 
 
