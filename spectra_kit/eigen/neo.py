@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, ClassVar, Literal
@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.clock import Clock
 from spectra_kit._core.records import Rebuilt
-from spectra_kit._sparse.blocks import device_memory
-from spectra_kit.eigen.base import Eigenpairs, Promise
+from spectra_kit._core.types import Floats
+from spectra_kit._sparse.blocks import device_clock, device_memory
+from spectra_kit.eigen.base import Eigenpairs, Promise, block_size
 from spectra_kit.eigen.cascade import Cascade
 from spectra_kit.eigen.dense import Dense
 from spectra_kit.eigen.subspaces.base import GivenBasis
@@ -130,7 +132,10 @@ class Neo(Rebuilt):
         return self._cascade.eigenpairs(laplacian, k)
 
     def begin(self, laplacians: Sequence[Laplacian], k: int) -> list[Callable[[], Eigenpairs]]:
-        """See `Eigensolver.begin`: the functions of all come from one forward pass."""
+        """See `Eigensolver.begin`: the functions of all come from one forward pass.
+
+        On a device all else is one batch as well.
+        """
         rest: list[Callable[[], Eigenpairs]] = [
             partial(self.eigenpairs, laplacian, k) for laplacian in laplacians
         ]
@@ -139,16 +144,47 @@ class Neo(Rebuilt):
             for i, laplacian in enumerate(laplacians)
             if self.coarsest is None and not self._is_small(laplacian)
         ]
+        clouds = [laplacians[i].points for i in whole], [laplacians[i].mass for i in whole]
+        if str(self.device) != "cpu" and len(whole) > 1 and self.subspace.pads(clouds[0]):
+            for i, own in self._together(laplacians, whole, clouds, k):
+                rest[i] = own
+            return rest
         start = time.perf_counter()
         with device_memory():
-            bases = self.subspace.predict_many(
-                [laplacians[i].points for i in whole], [laplacians[i].mass for i in whole]
-            )
-            columns = [basis.cpu().numpy() for basis in bases]
+            columns = [basis.cpu().numpy() for basis in self.subspace.predict_many(*clouds)]
         share = (time.perf_counter() - start) / max(len(whole), 1)
         for i, own in zip(whole, columns, strict=True):
             rest[i] = partial(self._predicted, laplacians[i], k, own, share)
         return rest
+
+    def _together(
+        self,
+        laplacians: Sequence[Laplacian],
+        whole: Sequence[int],
+        clouds: tuple[list[Floats], list[Floats]],
+        k: int,
+    ) -> Iterator[tuple[int, Callable[[], Eigenpairs]]]:
+        """Yield what is left to do for those of the `whole` operators that one batch has solved."""
+        from spectra_kit.eigen.multigrid.batched import predicted_and_smoothed
+
+        clock, cascade = device_clock(self.device), self._cascade
+        some = [laplacians[i] for i in whole]
+        with device_memory():
+            basis = self.subspace.padded(*clouds)
+            clock.stage("subspace")
+            found = predicted_and_smoothed(
+                some,
+                basis,
+                k,
+                keep=block_size(k, cascade.guard / 2),
+                target=self.target,
+                max_steps=self.max_steps,
+                clock=clock,
+            )
+        share = {stage: seconds / len(whole) for stage, seconds in clock.seconds.items()}
+        for i, laplacian, own in zip(whole, some, found, strict=True):
+            if own is not None:
+                yield i, partial(cascade.told, laplacian, own, k, Clock(spent=share))
 
     def _predicted(
         self, laplacian: Laplacian, k: int, basis: NDArray[np.float32], seconds: float
