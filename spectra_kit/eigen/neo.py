@@ -146,8 +146,8 @@ class Neo(Rebuilt):
         ]
         clouds = [laplacians[i].points for i in whole], [laplacians[i].mass for i in whole]
         if str(self.device) != "cpu" and len(whole) > 1 and self.subspace.pads(clouds[0]):
-            for i, own in self._together(laplacians, whole, clouds, k):
-                rest[i] = own
+            for i, left in self._together(laplacians, whole, clouds, k):
+                rest[i] = left
             return rest
         start = time.perf_counter()
         with device_memory():

@@ -17,7 +17,6 @@ from scipy import sparse
 from torch import Tensor
 
 from spectra_kit._core.clock import Clock
-from spectra_kit._core.types import Ints
 from spectra_kit._sparse.torch_device import csr_product, csr_tensor
 from spectra_kit.eigen.multigrid import estimates, smoothing
 from spectra_kit.eigen.multigrid.cascade import (
@@ -161,19 +160,19 @@ def predicted_and_smoothed(
     residual = batch.residual(values, U)
     clock.stage("smooth")
     ends: list[Smoothed | None] = [None] * len(laplacians)
-    open_ = np.flatnonzero(fit.cpu().numpy())
+    open_ = fit.nonzero()[:, 0].tolist()
     if not max_steps:
         unknown = torch.full_like(values[:, :k], torch.inf)
         _end(ends, laplacians, open_, open_, (values, U[..., :k], unknown), 0)
         return ends
-    chosen = torch.as_tensor(open_, device=basis.device)
-    off = None
+    chosen, off = open_, None
     for step in range(1, max_steps + 1):
         if not len(open_):
             break
         if len(chosen) < len(batch.mass):
             batch = Batch.of([laplacians[i] for i in open_], str(basis.device))
-            values, U, residual = values[chosen], U[chosen], residual[chosen]
+            rows = batch.mass.shape[1]
+            values, U, residual = values[chosen], U[chosen, :rows], residual[chosen, :rows]
             off = None if off is None else off[chosen]
         before, c = values, _smoothing(batch, values, U, residual, k, off, target)
         clock.stage("smooth")
@@ -189,12 +188,12 @@ def predicted_and_smoothed(
         sorts = left.sort(1).values
         errors = torch.where(sorts == left, excess, values[:, :k] - sorts) / least
         done = (errors.mean(1) <= target / _SURE) | (step == max_steps)
-        fit = fit & ~rises.any(1)
-        ended, going = torch.stack([fit & done, fit & ~done]).cpu().numpy()
-        rows = np.flatnonzero(ended)
-        _end(ends, laplacians, open_[rows], rows, (values, U[..., :k], errors), step)
-        chosen = torch.as_tensor(np.flatnonzero(going), device=basis.device)
-        open_ = open_[going]
+        fit &= ~rises.any(1)
+        state = (fit.int() + (fit & done).int()).tolist()  # left to others, going on, ended
+        ended, chosen = ([j for j, what in enumerate(state) if what == its] for its in (2, 1))
+        own = [open_[j] for j in ended]
+        _end(ends, laplacians, own, ended, (values, U[..., :k], errors), step)
+        open_ = [open_[j] for j in chosen]
         clock.stage("smooth")
     return ends
 
@@ -202,14 +201,13 @@ def predicted_and_smoothed(
 def _end(
     ends: list[Smoothed | None],
     laplacians: Sequence[Laplacian],
-    which: Ints,
-    rows: Ints,
+    which: Sequence[int],
+    rows: Sequence[int],
     found: tuple[Tensor, ...],
     steps: int,
 ) -> None:
     """Bring what was found of some operators, in these rows of a batch, to the host at once."""
-    chosen = torch.as_tensor(rows, device=found[0].device)
-    values, U, errors = (part[chosen].cpu().numpy() for part in found)
+    values, U, errors = (part[rows].cpu().numpy() for part in found)
     for j, i in enumerate(which):
         ends[i] = Smoothed(values[j], U[j, : laplacians[i].n], errors[j], steps)
 
@@ -290,4 +288,4 @@ def _excess(batch: Batch, values: Tensor, U: Tensor, residual: Tensor, falls: Te
     freedom = len(columns) - features.shape[2]
     spread = ((rest - rest.mean(1, keepdim=True)).square().sum(1) / freedom).sqrt()
     found = (mean + (features @ weights).squeeze(2) + estimates._UNSURE * spread).exp()
-    return found.index_copy(1, known_at, known)
+    return torch.index_copy(found, 1, known_at, known)
