@@ -147,6 +147,7 @@ def predicted_and_smoothed(
     keep: int,
     target: float,
     max_steps: int,
+    rank_tol: float = 0.0,
     clock: Clock,
 ) -> list[Smoothed | None]:
     """Return what `prolonged` reaches from the Ritz pairs of predicted functions, of each operator.
@@ -155,7 +156,7 @@ def predicted_and_smoothed(
     k vectors of each, are arrays.
     """
     batch = Batch.of(laplacians, str(basis.device))
-    values, U, fit = batch.ritz(basis.double(), keep, _CUT)
+    values, U, fit = batch.ritz(basis.double(), keep, max(_CUT, rank_tol**2))
     clock.stage("coarse")
     residual = batch.residual(values, U)
     clock.stage("smooth")
