@@ -277,7 +277,7 @@ class Launches(TorchDispatchMode):
         return func(*args, **(kwargs or {}))
 
 
-def test_a_batch_takes_as_many_launches_as_one_operator_and_waits_twice_a_step():
+def test_launches_and_waits_do_not_grow_with_a_batch():
     shapes, neo, counts = bodies()[:3], Neo(device="cpu:0"), []
     for times in (1, 3):
         some = [shape for shape in shapes for _ in range(times)]

@@ -1,8 +1,8 @@
 """Many operators at once on a device: Ritz pairs of predicted functions, smoothed as one batch.
 
 What `ritz_pairs` and `prolonged` do to one block of columns, for clouds of similar size side by
-side: their matrices are the blocks of one, their columns are padded by rows without mass. Nothing
-waits for the device but one look at a few numbers a step. Where a Gram matrix is not clearly well
+side: their matrices are the blocks of one, their columns are padded by rows without mass. Neither
+launches nor waits for the device grow with their number. Where a Gram matrix is not clearly well
 conditioned, or a Ritz value rises, an operator is left to those who take one after the other.
 """
 
