@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 
 class Clock:
     """Wall time from when it was made, in `seconds` by stage.
 
     `wait` is called before each look at the time: it waits for work that goes on after a call
-    returned, as CUDA's does.
+    returned, as CUDA's does. Stages may have `spent` some before.
     """
 
-    def __init__(self, wait: Callable[[], object] | None = None) -> None:
-        self._wait, self.seconds = wait, dict[str, float]()
+    def __init__(
+        self,
+        wait: Callable[[], object] | None = None,
+        *,
+        spent: Mapping[str, float] = MappingProxyType({}),
+    ) -> None:
+        self._wait, self.seconds = wait, dict(spent)
         self._start = self._last = self._now()
 
     def stage(self, name: str) -> None:

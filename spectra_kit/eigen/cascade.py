@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.clock import Clock
 from spectra_kit._core.threads import team
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count, check_positive, quantity
@@ -16,7 +17,7 @@ from spectra_kit._sparse.ritz import ritz_pairs
 from spectra_kit.eigen.accuracy import counted_errors
 from spectra_kit.eigen.base import Eigenpairs, Promise, basis_with_kernel, block_size, set_device
 from spectra_kit.eigen.lanczos import cheapest, or_densely
-from spectra_kit.eigen.multigrid.cascade import coarsest_eigenpairs, nested, prolonged
+from spectra_kit.eigen.multigrid.cascade import Smoothed, coarsest_eigenpairs, nested, prolonged
 from spectra_kit.eigen.multigrid.coarse import Coarse, gathered
 from spectra_kit.eigen.multigrid.smoothing import on_device
 from spectra_kit.eigen.subspaces.base import OnPoints, Subspace, restricted
@@ -142,10 +143,16 @@ class Cascade(OnPoints):
                 device=self.device,
                 clock=clock,
             )
-            vectors = found.eigenvectors[:, :k]
-            if not isinstance(vectors, np.ndarray):
-                vectors = np.asarray(vectors.cpu().numpy())
-                clock.stage("transfer")
+        return self.told(laplacian, found, k, clock, order)
+
+    def told(
+        self, laplacian: Laplacian, found: Smoothed, k: int, clock: Clock, order: Ints | None = None
+    ) -> Eigenpairs:
+        """Return what was found on the points as they came, with errors held against counts."""
+        vectors = found.eigenvectors[:, :k]
+        if not isinstance(vectors, np.ndarray):
+            vectors = np.asarray(vectors.cpu().numpy())
+            clock.stage("transfer")
         if order is not None:
             there, vectors = vectors, np.empty_like(vectors)
             vectors[order] = there

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from itertools import chain
+from itertools import chain, starmap
 from typing import Annotated, Any, cast
 
 import numpy as np
@@ -162,13 +162,14 @@ def eigensolve_many(
     k: int,
     solver: Eigensolver = Automatic(),  # noqa: B008
     *,
-    batch: int = 4096,
+    batch: int | None = None,
 ) -> list[Spectrum]:
     """Compute the k lowest modes of each of many Laplacians, and certify them.
 
     The same as `eigensolve` of one after the other, up to rounding, but sooner with a solver that
-    takes several at once, as `Neo` does: shapes of similar size share a forward pass, and batches
-    are solved side by side, one thread each. Operators of several components, with fixed points or
+    takes several at once, as `Neo` does: shapes of similar size share a forward pass, and on a
+    device all that follows; batches are solved side by side, one thread each, those of a device one
+    after the other. Operators of several components, with fixed points or
     beyond 1e9 in size are solved each on its own. Other solvers take one after the other.
 
     Parameters
@@ -179,9 +180,9 @@ def eigensolve_many(
         Number of modes, of all of them.
     solver : Eigensolver, default Automatic()
         As of `eigensolve`.
-    batch : int, default 4096
-        Points that share a forward pass, at most; a larger shape has one for itself. As many are
-        in work in each thread. An accelerator wants more: 65536.
+    batch : int, optional
+        Points that share a forward pass, at most; a larger shape has one for itself. By default
+        4,096, as many in work in each thread; on a device 65,536, which take about 1 GB there.
 
     Returns
     -------
@@ -214,7 +215,8 @@ def eigensolve_many(
     [16, 16, 16]
     """
     check_count("k", k, low=1)
-    check_count("batch", batch, low=1)
+    on_device = str(getattr(solver, "device", "cpu")) != "cpu"
+    batch = (65_536 if on_device else 4096) if batch is None else check_count("batch", batch, low=1)
     for i, laplacian in enumerate(laplacians):
         with _about(i):
             check_modes(laplacian, k)
@@ -223,13 +225,22 @@ def eigensolve_many(
         with _about(i):
             return solve(laplacians[i], k, solver, begun)
 
-    def together(*group: int) -> list[tuple[int, Spectrum]]:
+    def alone(i: int, begun: Callable[[], Eigenpairs] | None) -> tuple[int, Spectrum]:
         with single_threaded():
-            rest = _begun(solver, [laplacians[i] for i in group], k)
-            return [(i, one(i, begun)) for i, begun in zip(group, rest, strict=True)]
+            return i, one(i, begun)
+
+    def together(*group: int) -> list[tuple[int, Spectrum]]:
+        rest = zip(group, _begun(solver, [laplacians[i] for i in group], k), strict=True)
+        return in_threads(alone, rest) if on_device else [alone(*own) for own in rest]
+
+    def in_one_thread(*group: int) -> list[tuple[int, Spectrum]]:
+        with single_threaded():
+            return together(*group)
 
     if hasattr(solver, "begin"):
-        solved = dict(chain.from_iterable(in_threads(together, _groups(laplacians, batch))))
+        groups = _groups(laplacians, batch)
+        found = starmap(together, groups) if on_device else in_threads(in_one_thread, groups)
+        solved = dict(chain.from_iterable(found))
     else:
         solved = {i: one(i) for i in range(len(laplacians))}
     for i in range(len(laplacians)):

@@ -7,12 +7,19 @@ import numpy as np
 import pytest
 import torch
 from conftest import GEOMETRIES, creature, data_folder, joined, laplacian_of, moved
+from torch.utils._python_dispatch import TorchDispatchMode
 
 import spectra_kit as sk
 from spectra_kit import Neo, eigensolve, eigensolve_many, robust_laplacian
+from spectra_kit._core.clock import Clock
+from spectra_kit._sparse.ritz import ritz_pairs
+from spectra_kit._sparse.torch_device import csr_tensor
+from spectra_kit.eigen.base import block_size
+from spectra_kit.eigen.multigrid.batched import predicted_and_smoothed
+from spectra_kit.eigen.multigrid.cascade import prolonged
 from spectra_kit.eigen.solve import _groups
 from spectra_kit.errors import DoubtfulSpectrumWarning, InvalidInputError, SpectraKitError
-from spectra_kit.geometry import sample, torus
+from spectra_kit.geometry import rectangle, sample, sphere, torus
 from spectra_kit.neo.train.pool import open_pool
 
 K = 24
@@ -212,6 +219,90 @@ def test_where_is_kept_by_pickle():
     error.where = "laplacians[2]"
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
     assert isinstance(error, SpectraKitError)
+
+
+# --- one batch on a device: "cpu" alone means arrays ------------------------------------------
+
+
+def hard() -> list[sk.Laplacian]:
+    """Of similar size: flat, round, a ring, thin, as many modes as a third of its points."""
+    ball = sphere(subdivisions=3).geometry
+    clouds = [rectangle(n=650).geometry, ball, torus(n=700).geometry.as_cloud()]
+    thin = ball.with_points(ball.points * [20.0, 1.0, 0.05])
+    return [sk.laplacian(shape) for shape in (*clouds, thin, creature(620, seed=2))]
+
+
+@pytest.mark.parametrize(
+    ("shapes", "k", "target", "steps"),
+    [
+        (lambda: bodies()[:4], K, 1e-3, [1, 1, 1, 1]),
+        (lambda: bodies()[:4], K, np.inf, [0, 0, 0, 0]),
+        (hard, K, 1e-6, [2, 2, 2, 4, 2]),
+        (hard, 200, 1e-3, [3, 2, 3, None, 3]),  # smoothed, those of the thin one are dependent
+    ],
+    ids=["bodies", "raw", "hard", "many modes"],
+)
+def test_a_batch_on_a_device_is_as_its_parts(shapes, k, target, steps):
+    """Of the same functions, all but the rounding of a float32 smoother is the same."""
+    operators, subspace = shapes(), Neo(device="cpu:0").subspace
+    basis = subspace.padded([s.points for s in operators], [s.mass for s in operators])
+    options = {"keep": block_size(k, 0.2), "target": target, "max_steps": 20 if steps[0] else 0}
+    found = predicted_and_smoothed(operators, basis, k, clock=Clock(), **options)
+    assert [own and own.steps for own in found] == steps
+    for shape, own, functions in zip(operators, found, basis, strict=True):
+        if own is None:
+            continue
+        L, M = csr_tensor(shape.stiffness), torch.tensor(shape.mass)
+        begun = ritz_pairs(L, M, functions[: shape.n], options["keep"])[:2]
+        single = prolonged(shape, [], *begun, k, device="cpu:0", **options)
+        assert own.steps == single.steps
+        U, values, size = own.eigenvectors, own.eigenvalues, single.eigenvalues[-1]
+        assert values == pytest.approx(single.eigenvalues, rel=1e-8, abs=1e-12 * size)
+        assert own.errors == pytest.approx(single.errors, rel=0.02, abs=1e-9)
+        assert np.abs(U.T @ (shape.mass[:, None] * U) - np.eye(k)).max() < 1e-10
+        quotients = U.T @ (shape.stiffness @ U) - np.diag(values[:k])
+        assert np.abs(quotients).max() < 1e-10 * size
+
+
+class Launches(TorchDispatchMode):
+    """What torch is asked to do inside, and how often it is waited for."""
+
+    def __init__(self):
+        super().__init__()
+        self.all = self.waits = 0
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        self.all += 1
+        self.waits += func is torch.ops.aten._local_scalar_dense.default
+        return func(*args, **(kwargs or {}))
+
+
+def test_launches_and_waits_do_not_grow_with_a_batch():
+    shapes, neo, counts = bodies()[:3], Neo(device="cpu:0"), []
+    for times in (1, 3):
+        some = [shape for shape in shapes for _ in range(times)]
+        basis = neo.subspace.padded([s.points for s in some], [s.mass for s in some])
+        options = {"keep": 40, "target": 1e-3, "max_steps": 1, "clock": Clock()}
+        with Launches() as launches:
+            found = predicted_and_smoothed(some, basis, K, **options)
+        assert all(one.steps == 1 for one in found)
+        counts.append((launches.all, launches.waits))
+    assert counts[0] == counts[1]
+    assert counts[0][1] == 2
+
+
+def test_what_a_batch_cannot_hold_is_left_to_those_that_take_one(monkeypatch):
+    """Functions of which two are all but the same, for one of the operators."""
+    shapes, neo = bodies()[1::-1], Neo(device="cpu:0")  # the largest first
+    basis = neo.subspace.padded([s.points for s in shapes], [s.mass for s in shapes])
+    basis[1, :, 7] = basis[1, :, 9] * (1 + 1e-7 * torch.rand(basis.shape[1]))
+    options = {"keep": 40, "target": 1e-3, "max_steps": 5, "clock": Clock()}
+    good, bad = predicted_and_smoothed(shapes, basis, K, **options)
+    assert good is not None
+    assert bad is None
+    monkeypatch.setattr(type(neo.subspace), "padded", lambda self, points, mass: basis)
+    for shape, found in zip(shapes, eigensolve_many(shapes, K, neo, batch=9999), strict=True):
+        assert_same(found, eigensolve(shape, K, neo))
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")

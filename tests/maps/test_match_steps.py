@@ -24,7 +24,7 @@ from spectra_kit.maps import (
 from spectra_kit.maps.calibration import score_of
 from spectra_kit.maps.candidates import SAMPLES, bent, rigid_candidates, side_of, sign_candidates
 from spectra_kit.maps.deform import PULL, _bending, _rotations, _weighted_edges, contact
-from spectra_kit.maps.score import orientation_of
+from spectra_kit.maps.score import coverage_over_chance, orientation_of
 from spectra_kit.maps.surface import Surface, changed, outward_normals, smoothed_mean_curvature
 from spectra_kit.operators import oriented_triangles
 
@@ -200,6 +200,15 @@ def test_mirrored_candidates_are_those_of_the_mirror_image(source, image) -> Non
         )
     ]
     assert left[0] < 0.5 < left[1]
+
+
+def test_a_random_map_covers_what_chance_does_however_finely_the_target_is_sampled() -> None:
+    mass, rng = np.ones(400), np.random.default_rng(0)
+    thrown = rng.integers(400, size=400)
+    once = coverage_over_chance(mass, mass, thrown)
+    assert once == pytest.approx(1, abs=0.06)
+    ten = coverage_over_chance(mass, np.repeat(mass, 10) / 10, np.repeat(thrown, 10))
+    assert ten == pytest.approx(once)
 
 
 # --- candidates laid onto the target ---------------------------------------------------------
