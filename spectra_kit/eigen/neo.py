@@ -45,7 +45,7 @@ class Neo(Rebuilt):
     ----------
     weights : str or path, default "small"
         Name of shipped weights (`neo.pretrained.WEIGHTS`), or a ``.safetensors`` file. ``"base"``
-        is a larger network: its functions miss a fifth less, at 1.5 times the time on a CPU.
+        is a larger network: its functions miss a fifth less, at 1.7 times the time on a CPU.
     poses : {1, 2, 4}, default 1
         Sign flips of the canonical frame to predict in; the bases are joined.
     device : str or torch.device, default "cpu"
