@@ -1,6 +1,7 @@
 """Workers: they do what one process does, and end with it."""
 
 import os
+import pickle
 import re
 import shutil
 import signal
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import dask
 import psutil
@@ -29,7 +31,7 @@ from spectra_kit.datasets import (
     match_all,
 )
 from spectra_kit.datasets.preload import own_device
-from spectra_kit.datasets.run import Spared
+from spectra_kit.datasets.run import Job, Spared
 from spectra_kit.errors import EngineLostError, InvalidFileError, InvalidInputError
 from spectra_kit.geometry import sphere, write
 
@@ -65,6 +67,14 @@ def write_sizes(folder, count, n=2562):
     """Write one body in so many sizes: another shape each, and at once made."""
     for i in range(count):
         write(moved(bumpy(n), 0, 0, 0, scale=1 + i / 100), folder / f"{i}.off")
+
+
+def test_a_task_finds_its_files_from_another_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    sent = pickle.dumps(Job("a", Path("store"), (Path("a.off"), 3), print))
+    monkeypatch.chdir("/")
+    there = pickle.loads(sent)
+    assert (there.store, there.given) == (tmp_path / "store", (tmp_path / "a.off", 3))
 
 
 def entries(store):

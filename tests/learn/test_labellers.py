@@ -41,6 +41,7 @@ from spectra_kit.learn import (
 )
 from spectra_kit.learn.examples import prepared
 from spectra_kit.learn.fitting import _loss, fit, predicted
+from spectra_kit.learn.labellers import carried
 from spectra_kit.neo import NeoSubspace, load_pretrained
 
 DNA = Recipe(embeddings=(ShapeDNA(count=10), WaveKernelSignature(count=6)), k=20)
@@ -169,6 +170,12 @@ def test_parts_are_learned_and_carried_to_other_samplings(method, recipe):
     assert (found.segment(other).labels == truth).mean() > 0.9
     cloud = found.segment(other.as_cloud())
     assert cloud.face_labels is None
+
+
+def test_scores_between_samples_are_theirs_by_nearness():
+    ends, scores = PointCloud([[0, 0, 0], [1, 0, 0]]), np.array([[1.0, 0.0], [0.0, 1.0]])
+    asked = PointCloud([[0.25, 0, 0], [1, 0, 0]])
+    assert carried(ends, scores, asked) == pytest.approx(np.array([[0.75, 0.25], [0, 1]]))
 
 
 def test_labels_of_samples_are_carried_to_the_vertices():
