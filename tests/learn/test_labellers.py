@@ -175,7 +175,7 @@ def test_parts_are_learned_and_carried_to_other_samplings(method, recipe):
 def test_scores_between_samples_are_theirs_by_nearness():
     ends, scores = PointCloud([[0, 0, 0], [1, 0, 0]]), np.array([[1.0, 0.0], [0.0, 1.0]])
     asked = PointCloud([[0.25, 0, 0], [1, 0, 0]])
-    assert carried(ends, scores, asked) == pytest.approx(np.array([[0.75, 0.25], [0, 1]]))
+    assert carried(ends, scores, asked) == pytest.approx(np.array([[0.75, 0.25], [0, 1]]), abs=1e-8)
 
 
 def test_labels_of_samples_are_carried_to_the_vertices():
