@@ -105,10 +105,10 @@ def animate_modes(
     ``s = w / sqrt(1 + (2 w / r)^2)``, ``w = a u(x) / max|u|``, where r is the radius of the largest
     ball inside that touches the surface at x: no point moves as far as half of it, so that thin
     parts stay apart. (A triangle of a coarse mesh, bent sharply outwards, may still fold.) The
-    colours follow ``u cos(omega t)``, with the same limits in all frames. (Of max|u| only the 99th percentile
-    counts, and what exceeds it is cut off.) The film begins at the largest swing of the first mode.
-    Every mode begins and ends at rest, so that each flows into the next, and the last into the
-    first.
+    colours follow ``u cos(omega t)``, with the same limits in all frames. (Of max|u| only the 99th
+    percentile counts, and what exceeds it is cut off.) The film begins at the largest swing of the
+    first mode. Every mode begins and ends at rest, so that each flows into the next, and the last
+    into the first.
 
     Examples
     --------
