@@ -1,14 +1,15 @@
 """Shapes per second of `Neo`, by single calls and many at once.
 
     python apps/studies/run.py many OUT                          # a few minutes
-    python apps/studies/run.py many OUT --sizes 2048 --count 32 --device cuda --batch 65536
+    python apps/studies/run.py many OUT --sizes 2048 --count 240 --device cuda --weights base
 
 Clouds of each size are sampled from meshes that no network was trained on (split `val` of the pool
 in SPECTRA_KIT_DATA; made animals without it), one component each. Three ways take turns: single
 calls with one thread, single calls with all threads, and `eigensolve_many`. Of each, the fastest
 turn counts, by the clock and by processor time, which other work on the machine disturbs less. The
 Laplacians are there beforehand; what their assembly takes stands beside, and by how much the
-eigenvalues of a way differ from those of the first.
+eigenvalues of a way differ from those of the first. A second table tells where the time of a shape
+goes, as `provenance.seconds` has it, of the last turn.
 """
 
 from __future__ import annotations
@@ -43,15 +44,17 @@ def options(parser: argparse.ArgumentParser) -> None:
     add("--count", type=int, default=16, help="shapes of each size (%(default)s)")
     add("--repeats", type=int, default=4, help="turns of each way (%(default)s)")
     add("-k", type=int, default=96, help="modes (%(default)s)")
-    add("--batch", type=int, default=4096, help="points that share a pass (%(default)s)")
+    add("--batch", type=int, help="points that share a pass (default: as eigensolve_many has it)")
+    add("--weights", default="small", help="a name or a file (%(default)s)")
     add("--device", default="cpu", help="of the network and the smoothing (%(default)s)")
 
 
 def measure(args: argparse.Namespace) -> None:
     for name in ("count", "repeats"):
         check_count(name, getattr(args, name), low=1)
-    solver = Neo(device=args.device)
+    solver = Neo(device=args.device, weights=args.weights)
     rows: list[Record] = []
+    stages: list[Record] = []
     for size in args.sizes:
         operators = list(_operators(size, args.count))
         assembly = sum(operator.seconds for operator in operators) / len(operators)
@@ -71,10 +74,14 @@ def measure(args: argparse.Namespace) -> None:
             f"single calls, {thread_count()} threads": single,
             f"eigensolve_many, {thread_count()} threads": many,
         }
-        rows += _compared(size, ways, args.repeats, assembly)
+        compared, where = _compared(size, ways, args.repeats, assembly)
+        rows, stages = rows + compared, stages + where
     device = "cuda" if args.device.startswith("cuda") else "cpu"
     machine = describe_machine(threads=thread_count(), device=device)
-    write_report(args.out, "many", [], [Table("Shapes a second", rows, _COLUMNS)], machine)
+    named = dict.fromkeys(name for row in stages for name in row)
+    forms = {name: ".2f" if name.endswith(" ms") else _COLUMNS[name] for name in named}
+    tables = [Table("Shapes a second", rows, _COLUMNS), Table("Where time goes", stages, forms)]
+    write_report(args.out, "many", [], tables, machine)
 
 
 def _operators(size: int, count: int) -> Iterator[Laplacian]:
@@ -98,8 +105,10 @@ def _meshes() -> Iterator[TriangleMesh]:
     yield from (pool.mesh(int(i)) for i in np.random.default_rng(0).permutation(len(pool)))
 
 
-def _compared(size: int, ways: dict[str, Way], repeats: int, assembly: float) -> list[Record]:
-    """Let the ways take turns, and return what they took."""
+def _compared(
+    size: int, ways: dict[str, Way], repeats: int, assembly: float
+) -> tuple[list[Record], list[Record]]:
+    """Let the ways take turns, and return what they took, and in which stages."""
     turns: dict[str, list[tuple[float, float]]] = {name: [] for name in ways}
     spectra: dict[str, list[Spectrum]] = {}
     for turn in range(1 + repeats):
@@ -112,7 +121,15 @@ def _compared(size: int, ways: dict[str, Way], repeats: int, assembly: float) ->
     first = next(iter(values.values()))
     best = {name: np.min(took, axis=0) / len(first) for name, took in turns.items()}
     one, several, *_ = (wall for wall, _ in best.values())
-    return [
+    stages = [
+        {"way": name, "points": size}
+        | {
+            f"{stage} ms": 1e3 * float(np.mean([s.provenance.seconds.get(stage, 0) for s in found]))
+            for stage in found[0].provenance.seconds
+        }
+        for name, found in spectra.items()
+    ]
+    rows = [
         {
             **{"way": name, "points": size, "clouds": len(first), "shapes/s": 1 / wall},
             **{"with assembly": 1 / (wall + assembly), "processor ms/shape": 1e3 * processor},
@@ -121,3 +138,4 @@ def _compared(size: int, ways: dict[str, Way], repeats: int, assembly: float) ->
         }
         for name, (wall, processor) in best.items()
     ]
+    return rows, stages
