@@ -143,9 +143,9 @@ class Cascade(OnPoints):
                 device=self.device,
                 clock=clock,
             )
-        return self.told(laplacian, found, k, clock, order)
+        return self._told(laplacian, found, k, clock, order)
 
-    def told(
+    def _told(
         self, laplacian: Laplacian, found: Smoothed, k: int, clock: Clock, order: Ints | None = None
     ) -> Eigenpairs:
         """Return what was found on the points as they came, with errors held against counts."""

@@ -147,7 +147,7 @@ class Neo(Rebuilt):
             if self.coarsest is None and not self._is_small(laplacian)
         ]
         clouds = [laplacians[i].points for i in whole], [laplacians[i].mass for i in whole]
-        if str(self.device) != "cpu" and len(whole) > 1 and self.subspace.pads(clouds[0]):
+        if str(self.device) != "cpu" and len(whole) > 1 and self.subspace._pads(clouds[0]):
             for i, left in self._together(laplacians, whole, clouds, k):
                 rest[i] = left
             return rest
@@ -172,7 +172,7 @@ class Neo(Rebuilt):
         clock, keep = device_clock(self.device), block_size(k, self._cascade.guard / 2)
         some = [laplacians[i] for i in whole]
         with device_memory():
-            basis = self.subspace.padded(*clouds)
+            basis = self.subspace._padded(*clouds)
             clock.stage("subspace")
             found = predicted_and_smoothed(
                 some,
@@ -193,7 +193,7 @@ class Neo(Rebuilt):
         self, laplacian: Laplacian, found: Smoothed, k: int, spent: dict[str, float]
     ) -> Eigenpairs:
         """Tell what a batch has found of an operator."""
-        return self._cascade.told(laplacian, found, k, Clock(spent=spent))
+        return self._cascade._told(laplacian, found, k, Clock(spent=spent))
 
     def _predicted(
         self, laplacian: Laplacian, k: int, basis: NDArray[np.float32], seconds: float

@@ -146,20 +146,20 @@ class NeoSubspace(Rebuilt):
             raise InvalidInputError("points", f"be as many as `mass`, {len(mass)}", len(points))
         if not len(points):
             return []
-        if not self.pads(points):
+        if not self._pads(points):
             return [self.tensor(*cloud) for cloud in zip(points, mass, strict=True)]
-        bases = self.padded(points, mass)
+        bases = self._padded(points, mass)
         return [basis[: len(x)] for basis, x in zip(bases, points, strict=True)]  # type: ignore[arg-type]
 
     @torch.no_grad()
-    def padded(self, points: Sequence[ArrayLike], mass: Sequence[ArrayLike]) -> torch.Tensor:
+    def _padded(self, points: Sequence[ArrayLike], mass: Sequence[ArrayLike]) -> torch.Tensor:
         """Predict the same as one tensor (b, N, 1 + poses * m), padded at the ends of its rows."""
         clouds = zip(points, mass, strict=True)
         seen = [_posed(x, w, self.frame(x, w)) for x, w in clouds]
         padded = (pad_sequence(list(part), batch_first=True) for part in zip(*seen, strict=True))
         return self._forward(*padded)
 
-    def pads(self, points: Sequence[ArrayLike]) -> bool:
+    def _pads(self, points: Sequence[ArrayLike]) -> bool:
         """Whether clouds can share a pass: points without mass change nothing at the others."""
         config, largest = self._model.config, max(map(len, points))  # type: ignore[arg-type]
         return largest <= self.chunk and config.backbone == "neo" and config.mass_aware

@@ -245,7 +245,7 @@ def hard() -> list[sk.Laplacian]:
 def test_a_batch_on_a_device_is_as_its_parts(shapes, k, target, steps):
     """Of the same functions, all but the rounding of a float32 smoother is the same."""
     operators, subspace = shapes(), Neo(device="cpu:0").subspace
-    basis = subspace.padded([s.points for s in operators], [s.mass for s in operators])
+    basis = subspace._padded([s.points for s in operators], [s.mass for s in operators])
     options = {"keep": block_size(k, 0.2), "target": target, "max_steps": 20 if steps[0] else 0}
     found = predicted_and_smoothed(operators, basis, k, clock=Clock(), **options)
     assert [own and own.steps for own in found] == steps
@@ -281,7 +281,7 @@ def test_launches_and_waits_do_not_grow_with_a_batch():
     shapes, neo, counts = bodies()[:3], Neo(device="cpu:0"), []
     for times in (1, 3):
         some = [shape for shape in shapes for _ in range(times)]
-        basis = neo.subspace.padded([s.points for s in some], [s.mass for s in some])
+        basis = neo.subspace._padded([s.points for s in some], [s.mass for s in some])
         options = {"keep": 40, "target": 1e-3, "max_steps": 1, "clock": Clock()}
         with Launches() as launches:
             found = predicted_and_smoothed(some, basis, K, **options)
@@ -294,13 +294,13 @@ def test_launches_and_waits_do_not_grow_with_a_batch():
 def test_what_a_batch_cannot_hold_is_left_to_those_that_take_one(monkeypatch):
     """Functions of which two are all but the same, for one of the operators."""
     shapes, neo = bodies()[1::-1], Neo(device="cpu:0")  # the largest first
-    basis = neo.subspace.padded([s.points for s in shapes], [s.mass for s in shapes])
+    basis = neo.subspace._padded([s.points for s in shapes], [s.mass for s in shapes])
     basis[1, :, 7] = basis[1, :, 9] * (1 + 1e-7 * torch.rand(basis.shape[1]))
     options = {"keep": 40, "target": 1e-3, "max_steps": 5, "clock": Clock()}
     good, bad = predicted_and_smoothed(shapes, basis, K, **options)
     assert good is not None
     assert bad is None
-    monkeypatch.setattr(type(neo.subspace), "padded", lambda self, points, mass: basis)
+    monkeypatch.setattr(type(neo.subspace), "_padded", lambda self, points, mass: basis)
     for shape, found in zip(shapes, eigensolve_many(shapes, K, neo, batch=9999), strict=True):
         assert_same(found, eigensolve(shape, K, neo))
 
