@@ -25,6 +25,7 @@ from spectra_kit.datasets.run import BatchReport, Completed, Engine, Job, own_or
 from spectra_kit.datasets.store import SpectrumStore
 from spectra_kit.eigen import Spectrum, eigensolve_many
 from spectra_kit.eigen.accuracy import warn_of_doubts
+from spectra_kit.eigen.solve import is_on_device, points_of_a_pass
 from spectra_kit.errors import (
     DamagedEntryWarning,
     IgnoredContentWarning,
@@ -39,8 +40,6 @@ from spectra_kit.geometry.formats.gltf import buffer_files
 from spectra_kit.operators import Laplacian
 
 _ALIKE = 32  # inputs of similar size that stay side by side for a solver that takes several
-#: Points that share a pass of a solver that takes several shapes at once.
-_PASS, _PASS_OF_DEVICE = 4096, 65536
 
 
 @checked
@@ -412,13 +411,9 @@ def _points_together(solver: Any) -> int:
     """
     if not hasattr(solver, "begin"):
         return 0
-    if _on_device(solver):
-        return 2 * _PASS_OF_DEVICE
-    return 2 * _PASS * thread_count() if thread_count() > 1 else 0
-
-
-def _on_device(solver: Any) -> bool:
-    return getattr(solver, "device", "cpu") != "cpu"
+    if is_on_device(solver):
+        return 2 * points_of_a_pass(solver)
+    return 2 * points_of_a_pass(solver) * thread_count() if thread_count() > 1 else 0
 
 
 def _solve(store: SpectrumStore, reads: Collection[FileRead], plan: Plan) -> None:
@@ -436,7 +431,6 @@ def _solve(store: SpectrumStore, reads: Collection[FileRead], plan: Plan) -> Non
                 if plan.k <= len(laplacian.free):
                     shapes.append(one.shape)
                     laplacians.append(laplacian)
-        batch = _PASS_OF_DEVICE if _on_device(plan.solver) else _PASS
-        solved = eigensolve_many(laplacians, plan.k, plan.solver, batch=batch)
+        solved = eigensolve_many(laplacians, plan.k, plan.solver)
         for shape, spectrum in zip(shapes, solved, strict=True):
             store.keep_spectrum(shape, plan, spectrum)

@@ -215,8 +215,8 @@ def eigensolve_many(
     [16, 16, 16]
     """
     check_count("k", k, low=1)
-    on_device = str(getattr(solver, "device", "cpu")) != "cpu"
-    batch = (65_536 if on_device else 4096) if batch is None else check_count("batch", batch, low=1)
+    on_device = is_on_device(solver)
+    batch = points_of_a_pass(solver) if batch is None else check_count("batch", batch, low=1)
     for i, laplacian in enumerate(laplacians):
         with _about(i):
             check_modes(laplacian, k)
@@ -246,6 +246,16 @@ def eigensolve_many(
     for i in range(len(laplacians)):
         warn_of_doubts(solved[i], solver, where=_name(i))
     return [solved[i] for i in range(len(laplacians))]
+
+
+def is_on_device(solver: Eigensolver) -> bool:
+    """Whether a solver works elsewhere than on the host."""
+    return str(getattr(solver, "device", "cpu")) != "cpu"
+
+
+def points_of_a_pass(solver: Eigensolver) -> int:
+    """Return how many points may share a pass of a solver: a device idles while it has few."""
+    return 65_536 if is_on_device(solver) else 4096
 
 
 def _groups(laplacians: Sequence[Laplacian], batch: int) -> list[tuple[int, ...]]:
