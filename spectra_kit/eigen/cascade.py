@@ -151,7 +151,8 @@ class Cascade(OnPoints):
         """Return what was found on the points as they came, with errors held against counts."""
         vectors = found.eigenvectors[:, :k]
         if not isinstance(vectors, np.ndarray):
-            vectors = np.asarray(vectors.cpu().numpy())
+            with device_memory():
+                vectors = np.asarray(vectors.cpu().numpy())
             clock.stage("transfer")
         if order is not None:
             there, vectors = vectors, np.empty_like(vectors)
