@@ -12,6 +12,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 import spectra_kit as sk
 from spectra_kit import Neo, eigensolve, eigensolve_many, robust_laplacian
 from spectra_kit._core.clock import Clock
+from spectra_kit._sparse import batched_eigh
 from spectra_kit._sparse.ritz import ritz_pairs
 from spectra_kit._sparse.torch_device import csr_tensor
 from spectra_kit.eigen.base import block_size
@@ -242,8 +243,10 @@ def hard() -> list[sk.Laplacian]:
     ],
     ids=["bodies", "raw", "hard", "many modes"],
 )
-def test_a_batch_on_a_device_is_as_its_parts(shapes, k, target, steps):
+def test_a_batch_on_a_device_is_as_its_parts(shapes, k, target, steps, monkeypatch):
     """Of the same functions, all but the rounding of a float32 smoother is the same."""
+    monkeypatch.setattr(batched_eigh, "_on_host", lambda A: False)
+    monkeypatch.setattr(batched_eigh, "_FEW", 2)
     operators, subspace = shapes(), Neo(device="cpu:0").subspace
     basis = subspace._padded([s.points for s in operators], [s.mass for s in operators])
     options = {"keep": block_size(k, 0.2), "target": target, "max_steps": 20 if steps[0] else 0}
