@@ -207,12 +207,11 @@ def _clusters(
 
 def rounding(laplacian: Laplacian) -> float:
     """Bound the rounding of ``M^-1/2 L M^-1/2 u``, and what one triangle hides of an asymmetry."""
-    stiffness = laplacian.stiffness
-    scale = sparse.diags_array(1 / np.sqrt(laplacian.mass))
-    magnitude = scale @ abs(stiffness) @ scale
-    asymmetry = scale @ abs(stiffness - stiffness.T) @ scale
+    stiffness, scale = laplacian.stiffness, 1 / np.sqrt(laplacian.mass)
+    magnitude = scale * (abs(stiffness) @ scale)
+    asymmetry = scale * (abs(stiffness - stiffness.T.tocsr()) @ scale)
     longest = int(np.diff(stiffness.indptr).max())
-    return float((longest + 4) * _EPS * magnitude.sum(axis=1).max() + asymmetry.sum(axis=1).max())
+    return float((longest + 4) * _EPS * magnitude.max() + asymmetry.max())
 
 
 _WORK = 2**16  # points times counts: a tenth of a second, where smoothing takes some
