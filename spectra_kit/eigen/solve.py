@@ -24,6 +24,8 @@ from spectra_kit.geometry import Geometry
 from spectra_kit.operators import laplacian as assemble
 from spectra_kit.operators.laplacian import Laplacian
 
+# Of a pass on a device, where 500,000 points took 6 GB: twice as much is left free.
+_MOST_POINTS, _BYTES_PER_POINT = 2**18, 25_000
 _PADDED = 0.8  # of the largest of a batch: the smallest has as many points, or more
 
 
@@ -182,7 +184,8 @@ def eigensolve_many(
         As of `eigensolve`.
     batch : int, optional
         Points that share a forward pass, at most; a larger shape has one for itself. By default
-        4,096, as many in work in each thread; on a device 65,536, which take about 1 GB there.
+        4,096, as many in work in each thread; on a device 262,144, or as many as half of what is
+        free there takes.
 
     Returns
     -------
@@ -255,7 +258,13 @@ def is_on_device(solver: Eigensolver) -> bool:
 
 def points_of_a_pass(solver: Eigensolver) -> int:
     """Return how many points may share a pass of a solver: a device idles while it has few."""
-    return 65_536 if is_on_device(solver) else 4096
+    device = str(getattr(solver, "device", "cpu"))
+    if not device.startswith("cuda"):
+        return 4096 if device == "cpu" else _MOST_POINTS
+    import torch
+
+    free, _ = torch.cuda.mem_get_info(device)
+    return min(_MOST_POINTS, max(4096, free // _BYTES_PER_POINT))
 
 
 def _groups(laplacians: Sequence[Laplacian], batch: int) -> list[tuple[int, ...]]:

@@ -303,9 +303,19 @@ def test_what_a_batch_cannot_hold_is_left_to_those_that_take_one(monkeypatch):
     good, bad = predicted_and_smoothed(shapes, basis, K, **options)
     assert good is not None
     assert bad is None
+    alone = [eigensolve(shape, K, neo) for shape in shapes]
     monkeypatch.setattr(type(neo.subspace), "_padded", lambda self, points, mass: basis)
-    for shape, found in zip(shapes, eigensolve_many(shapes, K, neo, batch=9999), strict=True):
-        assert_same(found, eigensolve(shape, K, neo))
+    for single, found in zip(alone, eigensolve_many(shapes, K, neo, batch=9999), strict=True):
+        assert_same(found, single)
+
+
+def test_a_single_cloud_on_a_device_is_a_batch_of_one():
+    neo = Neo(device="cpu:0")
+    found = eigensolve(bodies()[2], K, neo)
+    assert_same(found, alone(2))
+    assert found.provenance.iterations == alone(2).provenance.iterations
+    assert found.certificate.errors == pytest.approx(alone(2).certificate.errors, rel=0.05)
+    assert "coarsen" not in found.provenance.seconds  # another order of the points gains nothing
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
