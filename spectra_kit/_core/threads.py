@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 import os
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+Result = TypeVar("Result")
 
 #: Entries of a block, 8 MiB: one core passes over fewer in a millisecond.
 WORTH_SHARING = 1 << 20
@@ -127,6 +130,18 @@ def in_threads(task: Callable[..., Any], arguments: Iterable[tuple[Any, ...]]) -
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)  # nobody wants what has not begun
             raise
+
+
+def one_ahead(task: Callable[..., Result], arguments: Iterable[Any]) -> Iterator[Result]:
+    """Yield what `task` returns for each of the `arguments`; it has begun with the next by then."""
+    with ThreadPoolExecutor(1) as beside:
+        begun: deque[Future[Result]] = deque()
+        for argument in arguments:
+            begun.append(beside.submit(task, argument))
+            if len(begun) > 1:
+                yield begun.popleft().result()
+        while begun:
+            yield begun.popleft().result()
 
 
 def _one_by_one(task: Callable[..., Any], calls: list[tuple[Any, ...]]) -> list[Any]:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from itertools import chain, starmap
+from itertools import chain
 from typing import Annotated, Any, cast
 
 import numpy as np
 from scipy import sparse
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.threads import in_threads, single_threaded
+from spectra_kit._core.threads import in_threads, one_ahead, single_threaded
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count
 from spectra_kit.eigen.accuracy import warn_of_doubts
@@ -171,8 +171,8 @@ def eigensolve_many(
     The same as `eigensolve` of one after the other, up to rounding, but sooner with a solver that
     takes several at once, as `Neo` does: shapes of similar size share a forward pass, and on a
     device all that follows; batches are solved side by side, one thread each, those of a device one
-    after the other. Operators of several components, with fixed points or
-    beyond 1e9 in size are solved each on its own. Other solvers take one after the other.
+    after the other, while the host certifies the last. Operators of several components, with fixed
+    points or beyond 1e9 in size are solved each on its own. Other solvers take one after the other.
 
     Parameters
     ----------
@@ -218,7 +218,6 @@ def eigensolve_many(
     [16, 16, 16]
     """
     check_count("k", k, low=1)
-    on_device = is_on_device(solver)
     batch = points_of_a_pass(solver) if batch is None else check_count("batch", batch, low=1)
     for i, laplacian in enumerate(laplacians):
         with _about(i):
@@ -232,17 +231,19 @@ def eigensolve_many(
         with single_threaded():
             return i, one(i, begun)
 
-    def together(*group: int) -> list[tuple[int, Spectrum]]:
-        rest = zip(group, _begun(solver, [laplacians[i] for i in group], k), strict=True)
-        return in_threads(alone, rest) if on_device else [alone(*own) for own in rest]
+    def begun(group: Sequence[int]) -> list[tuple[int, Callable[[], Eigenpairs] | None]]:
+        return list(zip(group, _begun(solver, [laplacians[i] for i in group], k), strict=True))
 
     def in_one_thread(*group: int) -> list[tuple[int, Spectrum]]:
         with single_threaded():
-            return together(*group)
+            return [alone(*own) for own in begun(group)]
 
     if hasattr(solver, "begin"):
         groups = _groups(laplacians, batch)
-        found = starmap(together, groups) if on_device else in_threads(in_one_thread, groups)
+        if is_on_device(solver):  # which goes on while the host certifies
+            found = [in_threads(alone, rest) for rest in one_ahead(begun, groups)]
+        else:
+            found = in_threads(in_one_thread, groups)
         solved = dict(chain.from_iterable(found))
     else:
         solved = {i: one(i) for i in range(len(laplacians))}
