@@ -144,6 +144,7 @@ TRAINED = [
     Row(_PREDICTED, embedding, method)
     for embedding, method in (
         ("neo-mass-free", "pointnet"),
+        ("neo-base-mass-free", "pointnet"),
         ("neo", "pointnet"),
         ("global", "pointnet"),
         ("heat+waves", "pointnet"),
