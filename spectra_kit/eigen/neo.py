@@ -131,7 +131,11 @@ class Neo(Rebuilt):
         """See `Eigensolver.eigenpairs`; on a device this is a batch of one."""
         if str(self.device) == "cpu":
             return self._alone(laplacian, k)
-        return self.begin([laplacian], k)[0]()
+        try:
+            (found,) = self.begin([laplacian], k)
+        except MemoryError:  # rows in blocks, and levels, take less
+            return self._alone(laplacian, k)
+        return found()
 
     def _alone(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         if self._is_small(laplacian):

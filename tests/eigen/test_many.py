@@ -16,6 +16,7 @@ from spectra_kit._sparse import batched_eigh
 from spectra_kit._sparse.ritz import ritz_pairs
 from spectra_kit._sparse.torch_device import csr_tensor
 from spectra_kit.eigen.base import block_size
+from spectra_kit.eigen.multigrid import batched
 from spectra_kit.eigen.multigrid.batched import predicted_and_smoothed
 from spectra_kit.eigen.multigrid.cascade import prolonged
 from spectra_kit.eigen.solve import _groups
@@ -316,6 +317,24 @@ def test_a_single_cloud_on_a_device_is_a_batch_of_one():
     assert found.provenance.iterations == alone(2).provenance.iterations
     assert found.certificate.errors == pytest.approx(alone(2).certificate.errors, rel=0.05)
     assert "coarsen" not in found.provenance.seconds  # another order of the points gains nothing
+
+
+@pytest.mark.parametrize("most", [0, 1])
+def test_what_does_not_fit_into_a_devices_memory_is_solved_with_less(monkeypatch, most):
+    """Where two do not fit, one by one; where one does not, row by row."""
+    whole, tried = batched.Batch.of, []
+
+    def of(laplacians, device):
+        tried.append(len(laplacians))
+        if len(laplacians) > most:
+            raise torch.OutOfMemoryError("CUDA out of memory")
+        return whole(laplacians, device)
+
+    monkeypatch.setattr(batched.Batch, "of", of)
+    found = eigensolve_many(bodies()[:2], K, Neo(device="cpu:0"))
+    assert tried[:3] == [2, 1, 1]
+    for i, spectrum in enumerate(found):
+        assert_same(spectrum, alone(i))
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
