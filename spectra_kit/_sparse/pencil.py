@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from spectra_kit._core.types import Floats
+from spectra_kit._core.types import Floats, Ints
 from spectra_kit._sparse.elimination import analysed, no_memory, symmetric
 from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.errors import InvalidInputError
@@ -15,14 +15,16 @@ class Pencil:
     """Factors of ``L - sigma M`` for a symmetric L and a diagonal M (n,) that is positive."""
 
     def __init__(self, stiffness: sparse.csr_array, mass: Floats) -> None:
-        shifted = symmetric(sparse.csr_array(stiffness + sparse.diags_array(mass)))
-        n = shifted.shape[0]
-        rows = np.repeat(np.arange(n), np.diff(shifted.indptr))
-        self._diagonal = np.flatnonzero(shifted.indices == rows)
-        self._entries, self._mass = shifted.data.copy(), mass
+        n = stiffness.shape[0]
+        pattern = symmetric(stiffness)
+        self._diagonal = _diagonal_of(pattern)
+        if len(self._diagonal) < n:
+            pattern = symmetric(sparse.csr_array(stiffness + sparse.diags_array(mass)))
+            self._diagonal = _diagonal_of(pattern)
+        self._entries, self._mass = pattern.data.copy(), mass
         self._entries[self._diagonal] = stiffness.diagonal()
         try:
-            self._elimination = analysed(shifted)
+            self._elimination = analysed(pattern)
         except MemoryError as error:
             raise no_memory(n) from error
 
@@ -35,3 +37,9 @@ class Pencil:
             return SparseLDL.of_entries(entries, diagonal, self._elimination, definite=False)
         except InvalidInputError:
             return None
+
+
+def _diagonal_of(matrix: sparse.csr_array) -> Ints:
+    """Return where diagonal entries are stored."""
+    rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+    return np.flatnonzero(matrix.indices == rows)

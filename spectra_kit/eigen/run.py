@@ -308,9 +308,8 @@ class _Run:
             raise
         pairs = _of_checked_form(pairs, solver, (laplacian.n, k))
         self.count(pairs, time.perf_counter() - start)
-        if pairs.eigenvalues.min() < -max(
-            _NEGATIVE * laplacian.eigenvalue_spacing, rounding(laplacian)
-        ):
+        lowest = pairs.eigenvalues.min()
+        if lowest < -_NEGATIVE * laplacian.eigenvalue_spacing and lowest < -rounding(laplacian):
             raise InvalidSpectrumError(
                 f"{solver!r} returned a negative eigenvalue ({pairs.eigenvalues.min():.3e})",
                 advice="is the stiffness positive semi-definite? (Where entries spread over many"

@@ -1,0 +1,36 @@
+"""Factors of ``L - sigma M`` for one shift after the other, against LAPACK's eigenvalues."""
+
+import numpy as np
+import pytest
+from conftest import creature
+from scipy import linalg, sparse
+
+import spectra_kit as sk
+from spectra_kit._sparse import SparseLDL
+from spectra_kit._sparse.pencil import Pencil
+
+
+@pytest.fixture(scope="module")
+def animal():
+    return sk.laplacian(creature(500, seed=1))
+
+
+def test_inertia_counts_eigenvalues_below_each_shift(animal):
+    pencil = Pencil(animal.stiffness, animal.mass)
+    truth = linalg.eigh(animal.stiffness.toarray(), np.diag(animal.mass), eigvals_only=True)
+    for sigma in (-1.0, *(truth[[5, 40, 200]] + truth[[6, 41, 201]]) / 2, 2 * truth[-1]):
+        assert pencil.factor(sigma).inertia.negative == (truth < sigma).sum()
+
+
+def test_factors_are_those_of_the_matrix(animal):
+    sigma = 3 * animal.eigenvalue_spacing
+    own = Pencil(animal.stiffness, animal.mass).factor(sigma)
+    shifted = sparse.csr_array(animal.stiffness - sigma * sparse.diags_array(animal.mass))
+    np.testing.assert_array_equal(own.pivots, SparseLDL(shifted, definite=False).pivots)
+
+
+def test_what_has_no_diagonal_entries_gets_them():
+    swap = sparse.csr_array([[0.0, 1.0], [1.0, 0.0]])
+    pencil = Pencil(swap, np.ones(2))
+    assert pencil.factor(0.0) is None  # a pivot is zero
+    assert [pencil.factor(sigma).inertia.negative for sigma in (-2.0, 0.5, 2.0)] == [0, 1, 2]
