@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from itertools import chain, starmap
 from typing import Annotated, Any, cast
 
@@ -11,6 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.many import about, of_similar_size
 from spectra_kit._core.threads import in_threads, single_threaded
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count
@@ -23,8 +23,6 @@ from spectra_kit.errors import InvalidInputError, SpectraKitError
 from spectra_kit.geometry import Geometry
 from spectra_kit.operators import laplacian as assemble
 from spectra_kit.operators.laplacian import Laplacian
-
-_PADDED = 0.8  # of the largest of a batch: the smallest has as many points, or more
 
 
 @checked
@@ -218,11 +216,11 @@ def eigensolve_many(
     on_device = is_on_device(solver)
     batch = points_of_a_pass(solver) if batch is None else check_count("batch", batch, low=1)
     for i, laplacian in enumerate(laplacians):
-        with _about(i):
+        with about(_name(i)):
             check_modes(laplacian, k)
 
     def one(i: int, begun: Callable[[], Eigenpairs] | None = None) -> Spectrum:
-        with _about(i):
+        with about(_name(i)):
             return solve(laplacians[i], k, solver, begun)
 
     def alone(i: int, begun: Callable[[], Eigenpairs] | None) -> tuple[int, Spectrum]:
@@ -259,17 +257,8 @@ def points_of_a_pass(solver: Eigensolver) -> int:
 
 
 def _groups(laplacians: Sequence[Laplacian], batch: int) -> list[tuple[int, ...]]:
-    """Return which operators go together, largest first: of similar size, or one on its own."""
-    groups: list[list[int]] = []
-    for i in sorted(range(len(laplacians)), key=lambda i: -laplacians[i].n):
-        if groups and is_whole(laplacians[i]):
-            largest, count = laplacians[groups[-1][0]], len(groups[-1]) + 1
-            near = laplacians[i].n >= _PADDED * largest.n and count * largest.n <= batch
-            if near and is_whole(largest):
-                groups[-1].append(i)
-                continue
-        groups.append([i])
-    return [tuple(group) for group in groups]
+    alone = {i for i, laplacian in enumerate(laplacians) if not is_whole(laplacian)}
+    return of_similar_size([laplacian.n for laplacian in laplacians], batch, alone)
 
 
 def _begun(
@@ -286,16 +275,6 @@ def _begun(
 
 def _name(i: int) -> str:
     return f"laplacians[{i}]"
-
-
-@contextmanager
-def _about(i: int) -> Iterator[None]:
-    """Let an error inside say which operator it is about."""
-    try:
-        yield
-    except SpectraKitError as error:
-        error.where = _name(i)
-        raise
 
 
 def check_modes(laplacian: Laplacian, k: int) -> None:

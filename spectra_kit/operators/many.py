@@ -1,0 +1,122 @@
+"""`laplacian_many`: the operators of many geometries at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
+
+from spectra_kit._core.checked import checked
+from spectra_kit._core.clock import Clock
+from spectra_kit._core.many import about, of_similar_size
+from spectra_kit._core.threads import in_threads, single_threaded
+from spectra_kit._core.warn import hearing, tell
+from spectra_kit.errors import SpectraKitWarning
+from spectra_kit.geometry.shapes import Geometry, PointCloud
+from spectra_kit.operators.assemble import laplacian
+from spectra_kit.operators.checks import is_on_device
+from spectra_kit.operators.intrinsic import cloud_triangulation
+from spectra_kit.operators.laplacian import Laplacian
+
+if TYPE_CHECKING:
+    from spectra_kit.operators._cover import OrderedCloud
+    from spectra_kit.operators.local_delaunay import FirstStars
+
+_TOGETHER = 65_536  # points of a group, padded: a device idles while it has few
+_NEIGHBORS = 30  # as `laplacian` has it
+
+
+@checked
+def laplacian_many(
+    geometries: Sequence[Geometry],
+    *,
+    operator: Literal["robust", "cotan", "knn", "delaunay"] | None = None,
+    boundary: Literal["neumann", "dirichlet"] = "neumann",
+    device: str = "cpu",
+) -> list[Laplacian]:
+    """Build the Laplacian of each of many geometries, as `laplacian` does.
+
+    They are built side by side, one thread each. On a device, clouds of similar size share what is
+    done there: it is launched, and waited for, as often for thirty of them as for one.
+
+    Parameters
+    ----------
+    geometries : sequence of TriangleMesh and PointCloud
+        Of any sizes.
+    operator, boundary
+        As of `laplacian`, for all of them.
+    device : str, default "cpu"
+        As of `delaunay_laplacian`; all of meshes, and other operators, are the host's.
+
+    Returns
+    -------
+    list of Laplacian
+        In the order of the geometries. Those of a device are those of the host up to rounding.
+
+    Raises
+    ------
+    InvalidInputError, ConvergenceError, OutOfMemoryError
+        As of `laplacian`, for the first that fails.
+
+    Warns
+    -----
+    SplitSurfaceWarning
+        As `laplacian` does, for each.
+
+    Notes
+    -----
+    Messages begin with the place of the geometry that they are about: ``geometries[3]``, which is
+    the attribute ``where`` of errors and warnings, too.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> clouds = [sk.geometry.creature(900, seed=seed) for seed in range(3)]
+    >>> [laplacian.n for laplacian in sk.laplacian_many(clouds)]
+    [900, 900, 900]
+    """
+    begun: dict[int, tuple[OrderedCloud, FirstStars, float]] = {}
+    if is_on_device(device) and operator not in ("cotan", "knn") and boundary == "neumann":
+        begun = _begun(geometries, device)
+
+    def one(i: int) -> tuple[Laplacian, list[SpectraKitWarning]]:
+        with about(_name(i)), single_threaded(), hearing() as heard:
+            if i not in begun:
+                return laplacian(geometries[i], operator=operator, boundary=boundary), heard
+            ordered, first, seconds = begun[i]
+            return cloud_triangulation(ordered, first, seconds).laplacian, heard
+
+    built = in_threads(one, ((i,) for i in range(len(geometries))))
+    for i, (_, heard) in enumerate(built):
+        for told in heard:
+            told.where = _name(i)
+            tell(told)
+    return [made for made, _ in built]
+
+
+def _begun(
+    geometries: Sequence[Geometry], device: str
+) -> dict[int, tuple[OrderedCloud, FirstStars, float]]:
+    """Return, of each cloud, its points, its first stars and the seconds that these took."""
+    from spectra_kit.operators._cover import ordered_cloud
+    from spectra_kit.operators._device_stars import first_stars
+
+    def ordered(i: int, cloud: PointCloud) -> tuple[OrderedCloud, float]:
+        clock = Clock()
+        with about(_name(i)), single_threaded():
+            return ordered_cloud(cloud, _NEIGHBORS), clock.total
+
+    clouds = [(i, one) for i, one in enumerate(geometries) if isinstance(one, PointCloud)]
+    there, found = in_threads(ordered, clouds), {}
+    few = {j for j, (cloud, _) in enumerate(there) if cloud.n_neighbors < _NEIGHBORS}
+    for group in of_similar_size([one.n for _, one in clouds], _TOGETHER, few):
+        clock = Clock()
+        points = [there[j][0].points for j in group]
+        stars = first_stars(points, there[group[0]][0].n_neighbors, device)
+        for j, own in zip(group, stars, strict=True):
+            cloud, seconds = there[j]
+            found[clouds[j][0]] = cloud, own, seconds + clock.total / len(group)
+    return found
+
+
+def _name(i: int) -> str:
+    return f"geometries[{i}]"
