@@ -36,7 +36,7 @@ def spectrum(geometry: Geometry, k: int, solver: Eigensolver = Automatic()) -> S
     k : int
         Number of modes, zero modes included.
     solver : Eigensolver, default Automatic()
-        As in `eigensolve`.
+        As in `eigensolve`. On its device the Laplacian of a cloud is made, too.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def spectrum(geometry: Geometry, k: int, solver: Eigensolver = Automatic()) -> S
     >>> sk.spectrum(sk.geometry.sphere(subdivisions=3).geometry, 4).eigenvalues.round(1)
     array([0., 2., 2., 2.])
     """
-    return eigensolve(assemble(geometry), k, solver)
+    return eigensolve(assemble(geometry, device=device_of(solver)), k, solver)
 
 
 @checked
@@ -248,7 +248,12 @@ def eigensolve_many(
 
 def is_on_device(solver: Eigensolver) -> bool:
     """Whether a solver works elsewhere than on the host."""
-    return str(getattr(solver, "device", "cpu")) != "cpu"
+    return device_of(solver) != "cpu"
+
+
+def device_of(solver: Eigensolver) -> str:
+    """Return where a solver works."""
+    return str(getattr(solver, "device", "cpu"))
 
 
 def points_of_a_pass(solver: Eigensolver) -> int:

@@ -28,7 +28,9 @@ from spectra_kit.operators.local_delaunay import (
 )
 
 _ENTRIES = 1 << 24  # of the largest arrays, of which there are about eight at once: 1 GB
-_LARGE = 1 << 16  # points of a cloud: beyond it a tree on the host finds neighbours sooner
+# Points of a cloud whose distances are all computed, and that have names of 16 bits. Neighbours of
+# more are found by a tree on the host.
+_NAMES = 1 << 16
 _SWEEPS = 5  # of rotations: 20,000 matrices of all kinds came to rounding in four
 
 
@@ -76,7 +78,7 @@ def _neighbors(clouds: Sequence[Floats], k: int, device: torch.device) -> Tensor
     """Return the k nearest of each point (p, k), as places in all clouds one after the other."""
     sizes = np.array([len(cloud) for cloud in clouds])
     starts, most = np.cumsum(sizes) - sizes, int(sizes.max())
-    if most > _LARGE:
+    if most > _NAMES:
         trees = zip(clouds, starts, strict=True)
         found = np.concatenate([nearest_by_tree(cloud, k) + start for cloud, start in trees])
         return torch.from_numpy(found).to(device)
@@ -85,16 +87,15 @@ def _neighbors(clouds: Sequence[Floats], k: int, device: torch.device) -> Tensor
     padded[held] = np.concatenate(clouds)
     there, before = torch.from_numpy(padded).to(device), torch.from_numpy(starts).to(device)
     names = torch.arange(most, device=device)
-    low = (1 << most.bit_length()) - 1  # bits that name a point
     parts = []
     for b in (slice(*cut) for cut in ranges(most, max(1, _ENTRIES // padded[:, :, 0].size))):
         x, y, z = (there[:, b, None, c] - there[:, None, :, c] for c in range(3))
         squares = x * x + y * y + z * z
-        # Numbers that are not negative are in the order of their bits. The last of these make way
-        # for the name, so that of equal distances, but for rounding, the first point comes first.
-        keys = squares.view(torch.int64) & ~low | names
+        # Numbers that are not negative are in the order of their bits. The last of these make way,
+        # rounded, for a name: of distances that are equal but for rounding the first comes first.
+        keys = (squares.view(torch.int64) + _NAMES // 2) & -_NAMES | names
         own, *_ = keys.topk(k + 1, largest=False)
-        parts.append((own[:, :, 1:] & low) + before[:, None, None])
+        parts.append(own[:, :, 1:] % _NAMES + before[:, None, None])
     rows = torch.from_numpy(np.flatnonzero(held)).to(device)
     return torch.cat(parts, 1).reshape(-1, k)[rows]
 

@@ -21,8 +21,8 @@ from spectra_kit.operators.checks import (
     check_distinct,
     check_faces_usable,
     check_mollify_factor,
-    is_on_device,
     mean_edges,
+    off_host,
     unit_of,
     units_of,
     warn_of_near_parts,
@@ -69,7 +69,7 @@ def laplacian(
     """
     if operator == "cotan" and not isinstance(geometry, TriangleMesh):
         raise InvalidInputError("operator", "be one for points", "cotan, which needs a mesh")
-    where = {"device": device} if is_on_device(device) and operator not in ("cotan", "knn") else {}
+    where = {"device": device} if off_host(device) and operator not in ("cotan", "knn") else {}
     built = _BY_NAME[operator or "robust"](geometry, **where)
     if boundary == "neumann":
         return built
@@ -100,8 +100,9 @@ def robust_laplacian(
         each connected component. If there is such a triangle, all edges become longer by up to
         this share of that length, so details must not be so small.
     n_neighbors : int, default 30
+        Of a cloud, see `intrinsic_delaunay`.
     device : str, default "cpu"
-        Of a cloud, see `intrinsic_delaunay`. That of a mesh is made on the host.
+        Of a cloud, too; the operator of a mesh is made on the host.
 
     Returns
     -------
@@ -139,7 +140,7 @@ def robust_laplacian(
         )
     clock = Clock()
     check_mollify_factor(mollify_factor)
-    is_on_device(device)
+    off_host(device)
     check_faces_usable(geometry)
     warn_of_seams(geometry)
     _check_room(len(geometry.faces) * _BYTES_PER_FACE)

@@ -41,7 +41,7 @@ def check_mollify_factor(value: float) -> None:
         )
 
 
-def is_on_device(device: str) -> bool:
+def off_host(device: str) -> bool:
     """Whether a device is another than the host; refuse one that torch cannot use here."""
     if device == "cpu":  # which needs no torch
         return False

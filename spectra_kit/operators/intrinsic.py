@@ -20,7 +20,7 @@ from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators.checks import (
     check_faces_usable,
     check_mollify_factor,
-    is_on_device,
+    off_host,
     warn_of_near_parts,
 )
 from spectra_kit.operators.laplacian import Laplacian
@@ -228,7 +228,7 @@ def intrinsic_delaunay(
 
     clock = Clock()
     check_mollify_factor(mollify_factor)
-    on_device = is_on_device(device)
+    on_device = off_host(device)
     if not isinstance(geometry, TriangleMesh):
         ordered = ordered_cloud(geometry, n_neighbors)
         first = None

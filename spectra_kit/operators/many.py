@@ -13,7 +13,7 @@ from spectra_kit._core.warn import hearing, tell
 from spectra_kit.errors import SpectraKitWarning
 from spectra_kit.geometry.shapes import Geometry, PointCloud
 from spectra_kit.operators.assemble import laplacian
-from spectra_kit.operators.checks import is_on_device
+from spectra_kit.operators.checks import off_host
 from spectra_kit.operators.intrinsic import cloud_triangulation
 from spectra_kit.operators.laplacian import Laplacian
 
@@ -75,7 +75,7 @@ def laplacian_many(
     [900, 900, 900]
     """
     begun: dict[int, tuple[OrderedCloud, FirstStars, float]] = {}
-    if is_on_device(device) and operator not in ("cotan", "knn") and boundary == "neumann":
+    if off_host(device) and operator not in ("cotan", "knn") and boundary == "neumann":
         begun = _begun(geometries, device)
 
     def one(i: int) -> tuple[Laplacian, list[SpectraKitWarning]]:
