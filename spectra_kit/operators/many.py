@@ -70,7 +70,7 @@ def laplacian_many(
     Examples
     --------
     >>> import spectra_kit as sk
-    >>> clouds = [sk.geometry.creature(900, seed=seed) for seed in range(3)]
+    >>> clouds = [sk.geometry.creature(900, seed=seed).as_cloud() for seed in range(3)]
     >>> [laplacian.n for laplacian in sk.laplacian_many(clouds)]
     [900, 900, 900]
     """

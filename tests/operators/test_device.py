@@ -22,6 +22,7 @@ from spectra_kit.errors import (
 )
 from spectra_kit.geometry import rectangle, sphere, torus
 from spectra_kit.operators import _cover, _device_stars, intrinsic_delaunay
+from spectra_kit.operators._hulls import hulls
 from spectra_kit.operators.local_delaunay import first_stars, local_triangles
 
 DEVICE = "cpu:0"
@@ -124,6 +125,24 @@ def test_rotations_diagonalise_matrices_of_all_kinds() -> None:
     assert np.abs(V.transpose(0, 2, 1) @ V - np.eye(3)).max() < 1e-14
 
 
+def test_hulls_are_those_of_the_host() -> None:
+    rng = np.random.default_rng(0)
+    x, y = rng.standard_normal((2, 90, 12)) + np.linspace(0, 4, 90)[:, None]  # half of them open
+    x[:30, 2::3], y[:30, 2::3] = x[:30, :-2:3] / 2, y[:30, :-2:3] / 2  # of one direction
+    x[30:60, 6:], y[30:60, 6:] = x[30:60, :6], y[30:60, :6]  # twice
+    x[60:, 4] = y[60:, 4] = 0  # at the origin
+    x[-3:], y[-3:] = 1, np.linspace(0, 1, 36).reshape(3, 12)  # on a line
+    x[-1] = y[-1] = 0
+    names = np.tile(np.arange(12, dtype=np.int32), (90, 1))
+    links, sizes, closed = np.empty_like(names), np.empty(90, np.int32), np.empty(90, bool)
+    hulls(x, y, names, links, sizes, closed)
+    found = [part.numpy() for part in _device_stars._hulls(*map(torch.from_numpy, (x, y)))]
+    np.testing.assert_array_equal(found[2], closed)
+    np.testing.assert_array_equal(found[1], sizes)
+    for row, size in enumerate(sizes):
+        np.testing.assert_array_equal(found[0][row, :size], links[row, :size])
+
+
 class Launches(TorchDispatchMode):
     """What torch is asked to do inside, and how often it is waited for."""
 
@@ -218,6 +237,25 @@ def test_many_are_those_of_single_calls_in_the_order_given(monkeypatch, device, 
     (found,) = laplacian_many([mesh], operator="cotan", device=device)
     assert_same(found, laplacian(mesh, operator="cotan"))
     assert laplacian_many([], device=device) == []
+
+
+class There(sk.Dense):
+    device = DEVICE
+
+
+def test_what_solves_on_a_device_has_its_operators_made_there() -> None:
+    shape = cloud("31 points")
+    for solver, there in ((sk.Dense(), False), (There(), True)):
+        plan = sk.datasets.Plan(k=5, solver=solver)
+        calls = (
+            lambda plan=plan: plan.laplacian(shape),
+            lambda plan=plan: plan.laplacians([shape]),
+            lambda plan=plan: sk.spectrum(shape, plan.k, plan.solver),
+        )
+        for call in calls:
+            with Launches() as launches:
+                call()
+            assert (launches.all > 0) == there
 
 
 # --- what is refused -----------------------------------------------------------------------------
