@@ -28,16 +28,16 @@ from spectra_kit.operators.local_delaunay import (
 )
 
 _ENTRIES = 1 << 24  # of the largest arrays, of which there are about eight at once: 1 GB
-# Points of a cloud whose distances are all computed, and that have names of 16 bits. Neighbours of
-# more are found by a tree on the host.
-_NAMES = 1 << 16
+# Points of a cloud whose distances are all computed, work that grows with their square; they have
+# names of so many bits. Neighbours of more are found by a tree, in the threads of the host.
+_NAMES = 1 << 14
 _SWEEPS = 5  # of rotations: 20,000 matrices of all kinds came to rounding in four
 
 
 def first_stars(clouds: Sequence[Floats], k: int, device: str) -> list[FirstStars]:
     """Return what `local_delaunay.first_stars` does of each cloud, all of more than k points."""
     try:
-        with device_memory(), torch.no_grad():
+        with device_memory():
             return list(_first_stars(clouds, k, torch.device(device)))
     except MemoryError as error:
         raise OutOfMemoryError(
