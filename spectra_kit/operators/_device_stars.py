@@ -121,15 +121,16 @@ def _eigh(matrices: Tensor) -> tuple[Tensor, Tensor]:
 
     To rounding, as LAPACK does; a device takes one matrix after the other there.
     """
-    A, eye = matrices.clone(), torch.eye(3, dtype=matrices.dtype, device=matrices.device)
-    V = eye.repeat(len(matrices), 1, 1)
+    eye = torch.eye(3, dtype=matrices.dtype, device=matrices.device)
+    both = torch.cat([matrices, eye.expand_as(matrices)], 1)  # the matrix, and its vectors below
+    A, V = both[:, :3], both[:, 3:]
     for i, j in _SWEEPS * ((0, 1), (0, 2), (1, 2)):
         apart, off = A[:, j, j] - A[:, i, i], 2 * A[:, i, j]
         tangent = off / (apart + torch.hypot(apart, off).copysign(apart))
         tangent = torch.where(off == 0, 0.0, tangent)[:, None]
         cosine = (1 + tangent.square()).rsqrt()
         sine = tangent * cosine
-        for sides in (A.mT, A, V.mT):  # rows of A, then its columns, and those of V
+        for sides in (A, both.mT):  # rows, then columns
             one, other = sides[:, i].clone(), sides[:, j].clone()
             sides[:, i], sides[:, j] = cosine * one - sine * other, sine * one + cosine * other
     values, order = A.diagonal(dim1=1, dim2=2).sort(1)

@@ -92,12 +92,14 @@ def test_stars_do_not_depend_on_what_else_is_in_a_batch(monkeypatch) -> None:
 
 
 def test_a_cloud_too_large_for_all_distances_asks_a_tree(monkeypatch) -> None:
-    points, k = ordered("an animal")
-    (expected,) = _device_stars.first_stars([points], k, DEVICE)
+    clouds = [ordered(name)[0] for name in ("an animal", "ball")]
+    expected = _device_stars.first_stars(clouds, 30, DEVICE)
     monkeypatch.setattr(_device_stars, "_NAMES", 512)
-    (found,) = _device_stars.first_stars([points], k, DEVICE)
-    np.testing.assert_array_equal(found.farthest, expected.farthest)
-    np.testing.assert_array_equal(found.stars.sizes, expected.stars.sizes)
+    for one, other in zip(_device_stars.first_stars(clouds, 30, DEVICE), expected, strict=True):
+        np.testing.assert_array_equal(one.farthest, other.farthest)
+        everywhere = np.ones(len(one.farthest), dtype=bool)
+        found, triangles = (first.stars.triangles(everywhere) for first in (one, other))
+        np.testing.assert_array_equal(found, triangles)
 
 
 def test_of_points_at_one_distance_the_first_are_the_neighbours() -> None:
