@@ -104,32 +104,38 @@ def team() -> Iterator[None]:
             _team.reset(token)
 
 
-def in_threads(task: Callable[..., Any], arguments: Iterable[tuple[Any, ...]]) -> list[Any]:
+def in_threads(
+    task: Callable[..., Any], arguments: Iterable[tuple[Any, ...]], count: int | None = None
+) -> list[Any]:
     """Return what `task` returns for each tuple of `arguments`, in their order; side by side.
 
     The threads are those of the `team` around, or end with the call: a process may fork
-    afterwards, and several may call at once.
+    afterwards, and several may call at once. Where it is told how many tuples there are, work on
+    the first begins while the others are made.
     """
-    calls = list(arguments)
-    workers = min(thread_count(), len(calls))
+    if count is None:
+        arguments = list(arguments)
+        count = len(arguments)
+    workers = min(thread_count(), count)
     if workers <= 1:
-        return _one_by_one(task, calls)
+        return _one_by_one(task, arguments)
     if (members := _team.get()) is not None:
+        calls = list(arguments)
         pool, others = members
         first, *rest = ranges(len(calls), -(-len(calls) // (others + 1)))
         futures = [pool.submit(_one_by_one, task, calls[slice(*cut)]) for cut in rest]
         results = _one_by_one(task, calls[slice(*first)])
         return results + [result for future in futures for result in future.result()]
     with ThreadPoolExecutor(workers) as pool:
-        waiting = [pool.submit(task, *call) for call in calls]
         try:
+            waiting = [pool.submit(task, *call) for call in arguments]
             return [done.result() for done in waiting]
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)  # nobody wants what has not begun
             raise
 
 
-def _one_by_one(task: Callable[..., Any], calls: list[tuple[Any, ...]]) -> list[Any]:
+def _one_by_one(task: Callable[..., Any], calls: Iterable[tuple[Any, ...]]) -> list[Any]:
     return [task(*call) for call in calls]
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Iterator, Sequence
+from itertools import chain
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any, Literal
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
@@ -74,48 +76,50 @@ def laplacian_many(
     >>> [laplacian.n for laplacian in sk.laplacian_many(clouds)]
     [900, 900, 900]
     """
-    begun: dict[int, tuple[OrderedCloud, FirstStars, float]] = {}
-    if off_host(device) and operator not in ("cotan", "knn") and boundary == "neumann":
-        begun = _begun(geometries, device)
+    on_device = off_host(device) and operator not in ("cotan", "knn") and boundary == "neumann"
+    clouds = {i: one for i, one in enumerate(geometries) if isinstance(one, PointCloud)}
+    clouds = clouds if on_device else {}
 
-    def one(i: int) -> tuple[Laplacian, list[SpectraKitWarning]]:
+    def one(i: int, *begun: Any) -> tuple[int, Laplacian, list[SpectraKitWarning]]:
         with about(_name(i)), single_threaded(), hearing() as heard:
-            if i not in begun:
-                return laplacian(geometries[i], operator=operator, boundary=boundary), heard
-            ordered, first, seconds = begun[i]
-            return cloud_triangulation(ordered, first, seconds).laplacian, heard
+            if begun:
+                return i, cloud_triangulation(*begun).laplacian, heard
+            return i, laplacian(geometries[i], operator=operator, boundary=boundary), heard
 
-    built = in_threads(one, ((i,) for i in range(len(geometries))))
-    for i, (_, heard) in enumerate(built):
+    others = ((i,) for i in range(len(geometries)) if i not in clouds)
+    # The device is at work on the next clouds while threads have those before.
+    built = in_threads(one, chain(others, _begun(clouds, device)), len(geometries))
+    built.sort(key=itemgetter(0))
+    for i, _, heard in built:
         for told in heard:
             told.where = _name(i)
             tell(told)
-    return [made for made, _ in built]
+    return [made for _, made, _ in built]
 
 
 def _begun(
-    geometries: Sequence[Geometry], device: str
-) -> dict[int, tuple[OrderedCloud, FirstStars, float]]:
-    """Return, of each cloud, its points, its first stars and the seconds that these took."""
+    clouds: dict[int, PointCloud], device: str
+) -> Iterator[tuple[int, OrderedCloud, FirstStars, float]]:
+    """Yield the name of each cloud, its points, its first stars and the seconds that these took."""
+    if not clouds:
+        return
     from spectra_kit.operators._cover import ordered_cloud
     from spectra_kit.operators._device_stars import first_stars
 
-    def ordered(i: int, cloud: PointCloud) -> tuple[OrderedCloud, float]:
+    def ordered(i: int, cloud: PointCloud) -> tuple[int, OrderedCloud, float]:
         clock = Clock()
         with about(_name(i)), single_threaded():
-            return ordered_cloud(cloud, _NEIGHBORS), clock.total
+            return i, ordered_cloud(cloud, _NEIGHBORS), clock.total
 
-    clouds = [(i, one) for i, one in enumerate(geometries) if isinstance(one, PointCloud)]
-    there, found = in_threads(ordered, clouds), {}
-    few = {j for j, (cloud, _) in enumerate(there) if cloud.n_neighbors < _NEIGHBORS}
-    for group in of_similar_size([one.n for _, one in clouds], _TOGETHER, few):
-        clock = Clock()
-        points = [there[j][0].points for j in group]
-        stars = first_stars(points, there[group[0]][0].n_neighbors, device)
-        for j, own in zip(group, stars, strict=True):
-            cloud, seconds = there[j]
-            found[clouds[j][0]] = cloud, own, seconds + clock.total / len(group)
-    return found
+    there = in_threads(ordered, clouds.items())
+    few = {j for j, (_, own, _) in enumerate(there) if own.n_neighbors < _NEIGHBORS}
+    for group in of_similar_size([one.n for one in clouds.values()], _TOGETHER, few):
+        clock, members = Clock(), [there[j] for j in group]
+        points = [own.points for _, own, _ in members]
+        found = first_stars(points, members[0][1].n_neighbors, device)
+        share = clock.total / len(group)
+        for (i, own, seconds), first in zip(members, found, strict=True):
+            yield i, own, first, seconds + share
 
 
 def _name(i: int) -> str:

@@ -138,6 +138,23 @@ def test_after_a_failure_nothing_new_begins(monkeypatch):
     assert len(begun) < 10
 
 
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_work_begins_while_the_rest_is_made(monkeypatch, threads):
+    monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
+    begun = threading.Event()
+
+    def arguments():
+        yield (0,)
+        assert threads == "1" or begun.wait(60)
+        yield from ((i,) for i in range(1, 5))
+
+    def task(i):
+        begun.set()
+        return i
+
+    assert in_threads(task, arguments(), 5) == list(range(5))
+
+
 @pytest.mark.parametrize(
     ("group", "files", "cores"),
     [
