@@ -161,7 +161,7 @@ def _hulls(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     slope = along / across
     left = torch.where((across > 0) & ~same, slope, -torch.inf).amax(2)
     right = torch.where((across < 0) & ~same, slope, torch.inf).amin(2)
-    corner = (left < right) & (far > 0) & ~(same & farther).any(2)
+    corner = (left < right) & ~(same & farther).any(2)
     sizes = corner.sum(1)
     first = (~corner).byte().argsort(dim=1, stable=True)  # the corners, in their order
     return order.gather(1, first), torch.where(sizes > 1, sizes, 0), closed

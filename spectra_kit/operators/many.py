@@ -38,7 +38,8 @@ def laplacian_many(
     """Build the Laplacian of each of many geometries, as `laplacian` does.
 
     They are built side by side, one thread each. On a device, clouds of similar size share what is
-    done there: it is launched, and waited for, as often for thirty of them as for one.
+    done there: it is launched, and waited for, as often for thirty of them as for one. Threads go on
+    from there while the device is at work on the next.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ def laplacian_many(
     Raises
     ------
     InvalidInputError, ConvergenceError, OutOfMemoryError
-        As of `laplacian`, for the first that fails.
+        As of `laplacian`, for one that fails.
 
     Warns
     -----
@@ -87,7 +88,6 @@ def laplacian_many(
             return i, laplacian(geometries[i], operator=operator, boundary=boundary), heard
 
     others = ((i,) for i in range(len(geometries)) if i not in clouds)
-    # The device is at work on the next clouds while threads have those before.
     built = in_threads(one, chain(others, _begun(clouds, device)), len(geometries))
     built.sort(key=itemgetter(0))
     for i, _, heard in built:
