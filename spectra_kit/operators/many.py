@@ -38,8 +38,8 @@ def laplacian_many(
     """Build the Laplacian of each of many geometries, as `laplacian` does.
 
     They are built side by side, one thread each. On a device, clouds of similar size share what is
-    done there: it is launched, and waited for, as often for thirty of them as for one. Threads go on
-    from there while the device is at work on the next.
+    done there: it is launched, and waited for, as often for thirty of them as for one. Threads go
+    on from there while the device is at work on the next.
 
     Parameters
     ----------

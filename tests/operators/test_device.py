@@ -228,6 +228,7 @@ def test_many_are_those_of_single_calls_in_the_order_given(monkeypatch, device, 
     monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
     sheet = rectangle(n=200).geometry
     shapes = [cloud("31 points"), sheet, cloud("four"), cloud("an animal"), cloud("a torus")]
+    shapes += [PointCloud(ball(n, 2)) for n in (27, 29)]  # neighbours are all others
     for found, shape in zip(laplacian_many(shapes, device=device), shapes, strict=True):
         assert_same(found, laplacian(shape))
     for options in ({"operator": "delaunay"}, {"operator": "knn"}):
