@@ -21,7 +21,7 @@ from spectra_kit.errors import (
     SplitSurfaceWarning,
 )
 from spectra_kit.geometry import rectangle, sphere, torus
-from spectra_kit.operators import _cover, _device_stars, intrinsic_delaunay
+from spectra_kit.operators import _cover, _device_stars, intrinsic_delaunay, local_delaunay
 from spectra_kit.operators._hulls import hulls
 from spectra_kit.operators.local_delaunay import first_stars, local_triangles
 
@@ -239,6 +239,14 @@ def test_many_are_those_of_single_calls_in_the_order_given(monkeypatch, device, 
     (found,) = laplacian_many([mesh], operator="cotan", device=device)
     assert_same(found, laplacian(mesh, operator="cotan"))
     assert laplacian_many([], device=device) == []
+
+
+def test_the_host_does_not_look_for_neighbours_again(monkeypatch) -> None:
+    monkeypatch.setattr(local_delaunay, "first_stars", None)
+    for call in (delaunay_laplacian, lambda one, **where: laplacian_many([one], **where)):
+        call(cloud("square"), device=DEVICE)
+        with pytest.raises(TypeError):
+            call(cloud("square"))
 
 
 class There(sk.Dense):
