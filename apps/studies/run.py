@@ -36,6 +36,7 @@ STUDIES = {
     "ablation": "ablation",
     "batch": "batch.command",
     "many": "many",
+    "device": "device",
     "explorer": "explorer",
 }
 

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 import os
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+Result = TypeVar("Result")
 
 #: Entries of a block, 8 MiB: one core passes over fewer in a millisecond.
 WORTH_SHARING = 1 << 20
@@ -104,38 +107,44 @@ def team() -> Iterator[None]:
             _team.reset(token)
 
 
-def in_threads(
-    task: Callable[..., Any], arguments: Iterable[tuple[Any, ...]], count: int | None = None
-) -> list[Any]:
+def in_threads(task: Callable[..., Any], arguments: Iterable[tuple[Any, ...]]) -> list[Any]:
     """Return what `task` returns for each tuple of `arguments`, in their order; side by side.
 
     The threads are those of the `team` around, or end with the call: a process may fork
-    afterwards, and several may call at once. Where it is told how many tuples there are, work on
-    the first begins while the others are made.
+    afterwards, and several may call at once.
     """
-    if count is None:
-        arguments = list(arguments)
-        count = len(arguments)
-    workers = min(thread_count(), count)
+    calls = list(arguments)
+    workers = min(thread_count(), len(calls))
     if workers <= 1:
-        return _one_by_one(task, arguments)
+        return _one_by_one(task, calls)
     if (members := _team.get()) is not None:
-        calls = list(arguments)
         pool, others = members
         first, *rest = ranges(len(calls), -(-len(calls) // (others + 1)))
         futures = [pool.submit(_one_by_one, task, calls[slice(*cut)]) for cut in rest]
         results = _one_by_one(task, calls[slice(*first)])
         return results + [result for future in futures for result in future.result()]
     with ThreadPoolExecutor(workers) as pool:
+        waiting = [pool.submit(task, *call) for call in calls]
         try:
-            waiting = [pool.submit(task, *call) for call in arguments]
             return [done.result() for done in waiting]
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)  # nobody wants what has not begun
             raise
 
 
-def _one_by_one(task: Callable[..., Any], calls: Iterable[tuple[Any, ...]]) -> list[Any]:
+def one_ahead(task: Callable[..., Result], arguments: Iterable[Any]) -> Iterator[Result]:
+    """Yield what `task` returns for each of the `arguments`; it has begun with the next by then."""
+    with ThreadPoolExecutor(1) as beside:
+        begun: deque[Future[Result]] = deque()
+        for argument in arguments:
+            begun.append(beside.submit(task, argument))
+            if len(begun) > 1:
+                yield begun.popleft().result()
+        while begun:
+            yield begun.popleft().result()
+
+
+def _one_by_one(task: Callable[..., Any], calls: list[tuple[Any, ...]]) -> list[Any]:
     return [task(*call) for call in calls]
 
 

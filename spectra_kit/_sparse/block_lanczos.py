@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from spectra_kit._core.threads import in_threads, ranges
 from spectra_kit._core.types import Floats
@@ -15,6 +14,8 @@ _POINTS = 8_192  # of one task: fixed, so that no sum depends on the threads
 _ROUNDED = 1e-15  # what is left of other vectors in one that was orthogonalised against them
 _NOTHING = 1e-10  # of the norm of the operator: a new block is no larger
 _SEMI = 1e-12  # the same, at most: residuals of Ritz pairs are no smaller than that
+# The same: so much that orthogonalising once is enough, where of each row this share is left.
+_LOOSE, _LEFT = 1e-8, 1e-3
 
 
 class KrylovPairs(NamedTuple):
@@ -33,7 +34,8 @@ class BlockLanczos:
 
     The `operator` takes columns of shape (n, block) to the same. Eigenvalues of up to `block`
     copies are found with all of them. `most` vectors are allocated at once: whole steps, and one
-    block less than n.
+    block less than n. They may overlap by `semi`, if that is more than rounding: what is found then
+    is off by its square (Simon, *The Lanczos algorithm with partial reorthogonalization*, 1984).
 
     Golub and Underwood, *The block Lanczos method for computing eigenvalues*, 1977. In exact
     arithmetic a block is orthogonal to all but the two before it. What rounding leaves of the
@@ -45,9 +47,17 @@ class BlockLanczos:
     """
 
     def __init__(
-        self, operator: Callable[[Floats], Floats], n: int, *, block: int, most: int, seed: int
+        self,
+        operator: Callable[[Floats], Floats],
+        n: int,
+        *,
+        block: int,
+        most: int,
+        seed: int,
+        semi: float = 0.0,
     ) -> None:
-        self._operator, self._block = operator, block
+        self._operator, self._block, self._semi = operator, block, max(semi, _SEMI)
+        self._twice = self._semi < _LOOSE
         self.size = 0  # vectors whose images are known; one more block is there
         self._basis = np.empty((most + block, n))
         self._projected = np.zeros((most + block, most + block))
@@ -65,15 +75,16 @@ class BlockLanczos:
         W[:] = self._operator(np.ascontiguousarray(self._basis[last].T)).T
         inside = self._take_out(following, before, end)[:, -block:]
         self._projected[last, last] = (inside + inside.T) / 2
-        self._norm = max(self._norm, float(np.linalg.norm(inside, 2)))
-        if self._loss * self._norm > _SEMI * self._new:
+        self._norm = max(self._norm, float(np.linalg.norm(inside)))
+        if self._loss * self._norm > self._semi * self._new:
             self._take_out(slice(self.size, end + block), 0, self.size)
             self._loss = _ROUNDED
         else:
             self._loss *= self._norm / self._new
-        self._take_out(following, before, end)
+        if self._twice:
+            self._take_out(following, before, end)
         try:
-            Q, R = _orthonormal(W)
+            Q, R = _orthonormal(W, twice=self._twice)
         except np.linalg.LinAlgError:
             Q, R = W, np.zeros((block, block))
         sizes = np.linalg.svd(R, compute_uv=False)
@@ -110,29 +121,34 @@ class BlockLanczos:
 def inner(A: Floats, B: Floats) -> Floats:
     """Return ``A B^T`` of long rows."""
     cuts = ranges(A.shape[1], _POINTS)
+    if len(cuts) == 1:  # with less ado
+        return np.asarray(A @ B.T)
     parts = in_threads(lambda a, b: A[:, a:b] @ B[:, a:b].T, cuts)
     return np.asarray(sum(parts[1:], start=parts[0]))
 
 
 def combined(coefficients: Floats, A: Floats) -> Floats:
     """Return combinations of long rows."""
+    cuts = ranges(A.shape[1], _POINTS)
+    if len(cuts) == 1:
+        return np.asarray(coefficients @ A)
     out = np.empty((len(coefficients), A.shape[1]))
 
     def fill(a: int, b: int) -> None:
         out[:, a:b] = coefficients @ A[:, a:b]
 
-    in_threads(fill, ranges(A.shape[1], _POINTS))
+    in_threads(fill, cuts)
     return out
 
 
-def _orthonormal(W: Floats) -> tuple[Floats, Floats]:
+def _orthonormal(W: Floats, *, twice: bool = True) -> tuple[Floats, Floats]:
     """Return orthonormal rows Q and R with ``W = R^T Q``, by Cholesky factors of Gram matrices."""
     size = np.linalg.norm(W, axis=1)
     if not (size > 0).all():
         raise np.linalg.LinAlgError("a row is zero, or not a number")
-    Q, R = W / size[:, None], np.diag(size)
-    for _ in range(2):
-        lower = np.linalg.cholesky(inner(Q, Q))
-        Q = combined(solve_triangular(lower, np.eye(len(lower)), lower=True), Q)
-        R = lower.T @ R
-    return Q, R
+    first = np.linalg.cholesky(inner(W, W) / size / size[:, None])
+    Q = combined(np.linalg.inv(first) / size, W)
+    if not twice and first.diagonal().min() > _LEFT:
+        return Q, first.T * size
+    second = np.linalg.cholesky(inner(Q, Q))
+    return combined(np.linalg.inv(second), Q), second.T @ (first.T * size)

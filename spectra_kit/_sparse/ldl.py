@@ -49,19 +49,37 @@ class SparseLDL:
         definite: bool = True,
         elimination: Elimination | None = None,
     ) -> None:
-        from spectra_kit._sparse._frontal_kernels import factorise
-
         A = symmetric(matrix)
-        self.n: int = A.shape[0]
         if elimination is not None and not elimination.serves(A):
             raise InvalidInputError("elimination", "have the pattern of `matrix`", "another")
         try:
-            self.elimination = known = analysed(A) if elimination is None else elimination
+            known = analysed(A) if elimination is None else elimination
+        except MemoryError as error:
+            raise no_memory(A.shape[0]) from error
+        self._factorise(A.data, A.diagonal(), known, definite)
+
+    @classmethod
+    def of_entries(
+        cls, entries: Floats, diagonal: Floats, elimination: Elimination, *, definite: bool
+    ) -> SparseLDL:
+        """Factorise a symmetric matrix by its entries in the pattern of an elimination."""
+        factor = cls.__new__(cls)
+        factor._factorise(entries, diagonal, elimination, definite)
+        return factor
+
+    def _factorise(
+        self, entries: Floats, diagonal: Floats, known: Elimination, definite: bool
+    ) -> None:
+        from spectra_kit._sparse._frontal_kernels import factorise
+
+        self.n: int = len(known.order)
+        self.elimination = known
+        try:
             self._lower, self.pivots = np.empty(known.fill), np.empty(self.n)
             bad = factorise(
                 known.starts,
                 known.columns,
-                np.require(A.data, None, "W"),  # loops are compiled for what can be written to
+                np.require(entries, None, "W"),  # loops are compiled for what can be written to
                 known.order,
                 known.begins,
                 known.first,
@@ -83,7 +101,7 @@ class SparseLDL:
         self._inverse = 1 / self.pivots
         # What elimination takes from a diagonal entry is a sum of up to n terms, no larger in all
         # than the entry where the matrix is definite (Higham, Accuracy and Stability, ch. 3).
-        self._rounding = self.n * _EPS * np.abs(A.diagonal()[known.order])
+        self._rounding = self.n * _EPS * np.abs(diagonal[known.order])
         if definite and (bad := int((self.pivots <= self._rounding).sum())):
             raise InvalidInputError(
                 "matrix",

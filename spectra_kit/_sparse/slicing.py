@@ -27,18 +27,27 @@ MOST = _STEPS * _BLOCK
 # Of its distance to the first shift have as many modes as Weyl's law says. On real models 0.6 to 2
 # take one shift more at most, for 300 modes.
 _GUESS = 0.8
-_FIRST = 80  # modes below the first shift, at most
+_BELOW = 0.5  # share of the wanted modes below the first shift
+_FIRST = 80  # the same, at most
 _LOOK = 4  # steps between two looks at what has converged
+# With a loose tolerance, vectors for each mode before the first look, which find all as a rule, and
+# then a step for every four modes that are missing: on few points a look costs as much as six.
+_EACH, _BY_STEP = 2.05, 4
 _ONE_SIDED = 0.7  # of what the first run reached above its shift, others reach to either side
 _SAFE = 0.8  # of what the last run reached, the next is asked for
 _DENSITY = 100  # modes whose distance tells where the next are
 _ROUNDING = 1e-12  # residuals of the inverse, relative to its eigenvalues
-_LOOSEST = 1e-6  # the same: its square, of what runs share, must be rounding
+_LOOSEST = 1e-3  # the same: its square is the error of an eigenvalue
+_SHARED = 1e-6  # the same: its square, of what runs share, is rounding
+_SEMI = 1e-3  # of the tolerance: vectors of a space may overlap by that
 _BORDER = 1e-7  # of the distance of two shifts: a narrower gap may be one within a cluster
 _ACCURATE = 1e-10  # backward error of a solution, entry by entry
 # Times as many modes below a shift as expected are too many for one run. With a guess of 2, which
 # is too far, 1.1 to 2.5 take as many shifts on these.
 _DENSER = 1.5
+# The three with a loose tolerance, by which one run finds 96 modes of 1,024 points in the fewest
+# steps: those below the shift, beyond which there are none, converge before those above it.
+_AIM = 0.6, 0.58, 1.25
 # Of the distance of two shifts, where the later one has no factor: off an eigenvalue, by less than
 # a run notices, as it finds tens of them.
 _NUDGE = 1e-3
@@ -94,15 +103,16 @@ def sliced_eigenpairs(
     After Grimes, Lewis and Simon, *A shifted block Lanczos algorithm for solving sparse symmetric
     generalized eigenproblems*, 1994.
     """
-    clock, root = Clock(), np.sqrt(mass)
+    clock, root, loose = Clock(), np.sqrt(mass), tol > _SHARED
+    guess, share, denser = _AIM if loose else (_GUESS, _BELOW, _DENSER)
     room = min(_STEPS * block, len(mass) // 2) // 4  # modes that a space of so many vectors finds
     tol = min(max(tol, _ROUNDING), _LOOSEST)
-    scaling = sparse.diags_array(1 / root)
-    A = sparse.csr_array(scaling @ stiffness @ scaling)
+    A = stiffness.copy()
+    A.data /= np.repeat(root, np.diff(A.indptr)) * root[A.indices]
     values, X = np.empty(k), np.empty((k, len(mass)))  # rows are eigenvectors of A
     first, counted, found = 0, 0, 0  # modes below the last run, below its shift, and all
-    last, ahead, reach, shifts, closer = below, min(-(-k // 2), _FIRST), 1.0, 0, 0
-    sigma, shared = below + _GUESS * ahead * spacing, None
+    last, ahead, reach, shifts, closer = below, min(math.ceil(share * k), _FIRST), 1.0, 0, 0
+    sigma, shared = below + guess * ahead * spacing, None
     with team():
         while found < k and shifts < most_shifts and closer < _CLOSER:
             top = values[found - 1] if found else last
@@ -113,7 +123,7 @@ def sliced_eigenpairs(
                 sigma, closer = sigma + _NUDGE * (sigma - last), closer + 1
                 continue
             number, shared = factor.inertia.negative, factor.elimination
-            if number - found > (_DENSER * ahead if block == _BLOCK else room):
+            if number - found > (denser * ahead if block == _BLOCK else room):
                 sigma, closer = top + (sigma - top) * ahead / (number - found), closer + 1
                 continue
             run = _Run(factor, sigma, tol, seed + shifts, block)
@@ -142,6 +152,8 @@ def sliced_eigenpairs(
             some = min(_DENSITY, found - 1)
             del run  # its space, before there is another
             sigma = values[found - 1] + ahead * np.ptp(values[found - 1 - some : found]) / some
+    if loose and first > 0:
+        X[:found] -= combined(inner(X[:found], X[:found]) - np.eye(found), X[:found]) / 2
     U = np.ascontiguousarray((X[:found] / root).T)
     return Sliced(values[:found], U, shifts, clock.seconds)
 
@@ -164,8 +176,11 @@ class _Run:
 
     def __init__(self, factor: SparseLDL, sigma: float, tol: float, seed: int, block: int) -> None:
         self._factor, self._sigma, self._tol, self._block = factor, sigma, tol, block
+        self._loose = tol > _SHARED
         self._most = min(_STEPS, factor.n // (2 * block)) // _LOOK * _LOOK * block
-        self._krylov = BlockLanczos(factor.solve, factor.n, block=block, most=self._most, seed=seed)
+        self._krylov = BlockLanczos(
+            factor.solve, factor.n, block=block, most=self._most, seed=seed, semi=_SEMI * tol
+        )
 
     def until(self, known: Floats, number: int, last: float, above: int) -> int | None:
         """Go on until `above` modes have converged above the shift, and all below it.
@@ -175,23 +190,30 @@ class _Run:
         those known to take, None if that cannot be said.
         """
         krylov, cut, enough = self._krylov, None, _ENOUGH * self._block
+        border = max(_BORDER, self._tol**2) * (self._sigma - last)
+        due: float = _LOOK * self._block
+        if self._loose:
+            due = _EACH * (max(number - len(known), 0) + above)
         while krylov.size < self._most:
             krylov.step()
-            if krylov.size % (_LOOK * self._block):
+            if krylov.size < min(due, enough, self._most):
                 continue
             self._look()
             values = self._sigma + 1 / self._ritz.values[self.below]
-            cut = _cut(known, values, number, _BORDER * (self._sigma - last))
-            if cut is not None and (len(self.above) >= above or krylov.size >= enough):
+            cut = _cut(known, values, number, border)
+            missing = above - len(self.above)
+            if cut is not None and (missing <= 0 or krylov.size >= enough):
                 break
+            missing = max(missing, number - len(known) - len(self.below))
+            due = krylov.size + self._block * (missing // _BY_STEP if self._loose else _LOOK)
         return cut
 
     def pairs(self, kept: NDArray[np.intp]) -> tuple[Floats, Floats]:
         """Return eigenvalues and eigenvectors, as rows that are orthonormal to rounding."""
         inverse = self._ritz.values[kept]
         X = self._krylov.lifted(self._ritz.rotation[:, kept])
-        # One more product takes out what rounding left of high frequencies.
-        X = np.ascontiguousarray((self._factor.solve(X.T) / inverse).T)
+        if not self._loose:  # one more product takes out what rounding left of frequencies
+            X = np.ascontiguousarray((self._factor.solve(X.T) / inverse).T)
         error = inner(X, X) - np.eye(len(kept))
         return self._sigma + 1 / inverse, X - combined(error / 2, X)
 

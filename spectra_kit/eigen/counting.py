@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,8 @@ from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
 from spectra_kit._core.types import Floats
 from spectra_kit._sparse.host import gram
-from spectra_kit.eigen.accuracy import counting_factor, rounding, with_bounds, with_excess
+from spectra_kit._sparse.pencil import Pencil
+from spectra_kit.eigen.accuracy import rounding, with_bounds, with_excess
 from spectra_kit.eigen.certificate import Certificate, ModeCount
 from spectra_kit.eigen.spectrum import Spectrum, certificate_of
 from spectra_kit.operators.laplacian import Laplacian
@@ -184,6 +186,10 @@ class _Prover:
             _radii(spectrum, laplacian, certificate.residuals),
         )
 
+    @cached_property
+    def _pencil(self) -> Pencil:
+        return Pencil(self.stiffness, self.mass)
+
     def prove(self, *, thorough: bool = True) -> ModeCount:
         """Find the largest number of leading modes that a count confirms.
 
@@ -247,7 +253,7 @@ class _Prover:
         for sigma in self._shifts(j, below_next):
             if not lowest < sigma < highest:
                 continue
-            factor = counting_factor(self.stiffness, self.mass, sigma)
+            factor = self._pencil.factor(sigma)
             if factor is None:
                 continue
             # And what rounds the diagonal of L - sigma M.

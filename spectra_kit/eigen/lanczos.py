@@ -28,6 +28,8 @@ _DENSE_RATIO = 3
 _MANY = 40
 _SHIFT = 0.1  # of the spacing of eigenvalues, below the spectrum
 _FEWEST = 2 * MOST  # points on which blocks have room
+# At this tolerance so many points for each mode will do: a space of twice as many vectors as modes.
+_LOOSE, _ROOMY = 1e-4, 5
 
 
 class _ShiftInvert:
@@ -158,9 +160,8 @@ class Lanczos(_ShiftInvert):
     Parameters
     ----------
     tol : float, default 0.0
-        Relative accuracy of the eigenvalues of the shift-inverted operators; 0 is machine
-        precision. 1e-6 at most, whatever is asked for: with looser residuals, what is found around
-        one shift would not be orthogonal to what is found around the next.
+        Of residuals, relative to the eigenvalues of the shift-inverted operators, whose errors are
+        about its square; 0 is machine precision. 1e-3 at most, whatever is asked for.
     seed : int, default 0
         Of the start vectors: same input, same output.
     max_shifts : int, default 1000
@@ -208,7 +209,7 @@ class Lanczos(_ShiftInvert):
         """See `Eigensolver.eigenpairs`."""
         if _DENSE_RATIO * k >= laplacian.n:
             return _crowded(laplacian, k)
-        if laplacian.n < _FEWEST:
+        if not _has_room(laplacian.n, k, self.tol):
             return _densely(laplacian, k, f"{laplacian.n} points are few")
         solved = partial(
             sliced_eigenpairs,
@@ -241,6 +242,11 @@ class Lanczos(_ShiftInvert):
         )
 
 
+def _has_room(n: int, k: int, tol: float) -> bool:
+    """Return whether blocks have room on n points: the looser, the fewer vectors they take."""
+    return n >= _FEWEST or (tol >= _LOOSE and n >= _ROOMY * k)
+
+
 def _crowded(laplacian: Laplacian, k: int) -> Eigenpairs:
     """Return the modes where they are so many that Lanczos has no room."""
     if laplacian.n > Dense.max_points:
@@ -261,7 +267,7 @@ def _densely(laplacian: Laplacian, k: int, reason: str) -> Eigenpairs:
 
 def cheapest(n: int, k: int, *, tol: float = 0.0, seed: int = 0) -> Arpack | Lanczos:
     """Return what is quickest of both: one vector for few modes or points, else blocks."""
-    if k >= _MANY and n >= _FEWEST:
+    if k >= _MANY and _has_room(n, k, tol):
         return Lanczos(tol=tol, seed=seed)
     return Arpack(tol=tol, seed=seed)
 

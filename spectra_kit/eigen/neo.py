@@ -128,7 +128,16 @@ class Neo(Rebuilt):
         )
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
-        """See `Eigensolver.eigenpairs`."""
+        """See `Eigensolver.eigenpairs`; on a device this is a batch of one."""
+        if str(self.device) == "cpu":
+            return self._alone(laplacian, k)
+        try:
+            (found,) = self.begin([laplacian], k)
+        except MemoryError:  # rows in blocks, and levels, take less
+            return self._alone(laplacian, k)
+        return found()
+
+    def _alone(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         if self._is_small(laplacian):
             return Dense().eigenpairs(laplacian, k)._replace(errors=np.zeros(k))
         return self._cascade.eigenpairs(laplacian, k)
@@ -139,7 +148,7 @@ class Neo(Rebuilt):
         On a device all else is one batch as well.
         """
         rest: list[Callable[[], Eigenpairs]] = [
-            partial(self.eigenpairs, laplacian, k) for laplacian in laplacians
+            partial(self._alone, laplacian, k) for laplacian in laplacians
         ]
         whole = [
             i
@@ -147,9 +156,10 @@ class Neo(Rebuilt):
             if self.coarsest is None and not self._is_small(laplacian)
         ]
         clouds = [laplacians[i].points for i in whole], [laplacians[i].mass for i in whole]
-        if str(self.device) != "cpu" and len(whole) > 1 and self.subspace._pads(clouds[0]):
-            for i, left in self._together(laplacians, whole, clouds, k):
-                rest[i] = left
+        if str(self.device) != "cpu":
+            if whole and self.subspace._pads(clouds[0]):
+                for i, left in self._together(laplacians, whole, clouds, k):
+                    rest[i] = left
             return rest
         start = time.perf_counter()
         with device_memory():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import chain, starmap
+from itertools import chain
 from typing import Annotated, Any, cast
 
 import numpy as np
@@ -11,7 +11,7 @@ from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.many import about, of_similar_size
-from spectra_kit._core.threads import in_threads, single_threaded
+from spectra_kit._core.threads import in_threads, one_ahead, single_threaded
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count
 from spectra_kit.eigen.accuracy import warn_of_doubts
@@ -23,6 +23,9 @@ from spectra_kit.errors import InvalidInputError, SpectraKitError
 from spectra_kit.geometry import Geometry
 from spectra_kit.operators import laplacian as assemble
 from spectra_kit.operators.laplacian import Laplacian
+
+# Of a pass on a device, where 500,000 points took 6 GB: twice as much is left free.
+_MOST_POINTS, _BYTES_PER_POINT = 2**18, 25_000
 
 
 @checked
@@ -167,8 +170,8 @@ def eigensolve_many(
     The same as `eigensolve` of one after the other, up to rounding, but sooner with a solver that
     takes several at once, as `Neo` does: shapes of similar size share a forward pass, and on a
     device all that follows; batches are solved side by side, one thread each, those of a device one
-    after the other. Operators of several components, with fixed points or
-    beyond 1e9 in size are solved each on its own. Other solvers take one after the other.
+    after the other, while the host certifies the last. Operators of several components, with fixed
+    points or beyond 1e9 in size are solved each on its own. Other solvers take one after the other.
 
     Parameters
     ----------
@@ -180,7 +183,8 @@ def eigensolve_many(
         As of `eigensolve`.
     batch : int, optional
         Points that share a forward pass, at most; a larger shape has one for itself. By default
-        4,096, as many in work in each thread; on a device 65,536, which take about 1 GB there.
+        4,096, as many in work in each thread; on a device 262,144, or as many as half of what is
+        free there takes.
 
     Returns
     -------
@@ -213,7 +217,6 @@ def eigensolve_many(
     [16, 16, 16]
     """
     check_count("k", k, low=1)
-    on_device = is_on_device(solver)
     batch = points_of_a_pass(solver) if batch is None else check_count("batch", batch, low=1)
     for i, laplacian in enumerate(laplacians):
         with about(_name(i)):
@@ -227,17 +230,19 @@ def eigensolve_many(
         with single_threaded():
             return i, one(i, begun)
 
-    def together(*group: int) -> list[tuple[int, Spectrum]]:
-        rest = zip(group, _begun(solver, [laplacians[i] for i in group], k), strict=True)
-        return in_threads(alone, rest) if on_device else [alone(*own) for own in rest]
+    def begun(group: Sequence[int]) -> list[tuple[int, Callable[[], Eigenpairs] | None]]:
+        return list(zip(group, _begun(solver, [laplacians[i] for i in group], k), strict=True))
 
     def in_one_thread(*group: int) -> list[tuple[int, Spectrum]]:
         with single_threaded():
-            return together(*group)
+            return [alone(*own) for own in begun(group)]
 
     if hasattr(solver, "begin"):
         groups = _groups(laplacians, batch)
-        found = starmap(together, groups) if on_device else in_threads(in_one_thread, groups)
+        if is_on_device(solver):  # which goes on while the host certifies
+            found = [in_threads(alone, rest) for rest in one_ahead(begun, groups)]
+        else:
+            found = in_threads(in_one_thread, groups)
         solved = dict(chain.from_iterable(found))
     else:
         solved = {i: one(i) for i in range(len(laplacians))}
@@ -258,7 +263,13 @@ def device_of(solver: Eigensolver) -> str:
 
 def points_of_a_pass(solver: Eigensolver) -> int:
     """Return how many points may share a pass of a solver: a device idles while it has few."""
-    return 65_536 if is_on_device(solver) else 4096
+    device = device_of(solver)
+    if not device.startswith("cuda"):
+        return 4096 if device == "cpu" else _MOST_POINTS
+    import torch
+
+    free, _ = torch.cuda.mem_get_info(device)
+    return min(_MOST_POINTS, max(4096, free // _BYTES_PER_POINT))
 
 
 def _groups(laplacians: Sequence[Laplacian], batch: int) -> list[tuple[int, ...]]:

@@ -213,7 +213,7 @@ class Spectrum(Rebuilt):
             self.eigenvectors,
             left_out=laplacian.fixed,
         )
-        squared = self.mass @ self.eigenvectors**2
+        squared = np.einsum("i,ij,ij->j", self.mass, self.eigenvectors, self.eigenvectors)
         if not squared.all():
             raise InvalidSpectrumError("eigenvectors", "not hold a column of zeros")
         return np.asarray(norms / np.sqrt(squared))
@@ -232,6 +232,8 @@ class Spectrum(Rebuilt):
                 f"entries between {times.min():.3g} and {times.max():.3g} times it",
                 advice="is the unit the same?",
             )
+        if not len(laplacian.fixed):
+            return
         held = np.abs(self.eigenvectors[laplacian.fixed]).max(initial=0.0)
         if held > 1e-8 * np.abs(self.eigenvectors).max(initial=0.0):
             raise InvalidInputError(
@@ -264,7 +266,7 @@ class Spectrum(Rebuilt):
         """Eigenvalue spacing of the component on which each mode lives (weighted, if several)."""
         if laplacian.n_components == 1:
             return np.full(self.k, laplacian.component_spacings[0])
-        shares = self._by_component(laplacian) @ self.eigenvectors[laplacian.free] ** 2
+        shares = self._by_component(laplacian) @ self._on_free(laplacian) ** 2
         return np.asarray(laplacian.component_spacings @ (shares / shares.sum(axis=0)))
 
     def _kernel_modes(self, laplacian: Laplacian) -> int:
@@ -273,8 +275,12 @@ class Spectrum(Rebuilt):
             return 0
         member = self._by_component(laplacian)[laplacian.constant_components]
         roots = np.sqrt(np.asarray(member.sum(axis=1)))
-        cosines = (member @ self.eigenvectors[laplacian.free]) / roots[:, None]
+        cosines = (member @ self._on_free(laplacian)) / roots[:, None]
         return min(round(float((cosines**2).sum())), laplacian.kernel_dimension)
+
+    def _on_free(self, laplacian: Laplacian) -> Floats:
+        """The eigenvectors at the free points, not copied where all are."""
+        return self.eigenvectors[laplacian.free] if len(laplacian.fixed) else self.eigenvectors
 
     def _by_component(self, laplacian: Laplacian) -> sparse.csr_array:
         """The mass of each free point in the row of its component, (n_components, n_free)."""

@@ -57,15 +57,10 @@ def components(mesh: TriangleMesh) -> list[Component]:
     >>> [part.vertex_index.tolist() for part in parts]
     [[3, 4, 5], [0, 1, 2]]
     """
-    labels = mesh.component_labels[mesh.faces[:, 0]]
+    labels = _part_of_faces(mesh)
     order = np.argsort(labels, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
-    parts = []
-    for face_index in sorted(groups, key=lambda group: int(group[0])):
-        vertex_index, corners = np.unique(mesh.faces[face_index], return_inverse=True)
-        part = TriangleMesh(mesh.points[vertex_index], corners.reshape(-1, 3))
-        parts.append(Component(part, vertex_index, face_index))
-    return parts
+    return [_component(mesh, faces) for faces in sorted(groups, key=lambda group: int(group[0]))]
 
 
 @checked
@@ -83,4 +78,16 @@ def largest_component(mesh: TriangleMesh) -> Component:
         The first of the largest, if several are equal.
     """
     areas = mesh.with_points(mesh.points / box_unit(mesh.points)).face_areas
-    return max(components(mesh), key=lambda part: float(areas[part.face_index].sum()))
+    labels = _part_of_faces(mesh)
+    largest = labels[np.bincount(labels, areas)[labels].argmax()]
+    return _component(mesh, np.flatnonzero(labels == largest))
+
+
+def _part_of_faces(mesh: TriangleMesh) -> Ints:
+    return mesh.component_labels[mesh.faces[:, 0]]
+
+
+def _component(mesh: TriangleMesh, face_index: Ints) -> Component:
+    vertex_index, corners = np.unique(mesh.faces[face_index], return_inverse=True)
+    part = TriangleMesh(mesh.points[vertex_index], corners.reshape(-1, 3))
+    return Component(part, vertex_index, face_index)

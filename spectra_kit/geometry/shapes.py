@@ -23,7 +23,7 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_faces, check_points
 from spectra_kit.errors import InvalidInputError
 
-_BLOCK = 1 << 16
+_BLOCK = 1 << 13
 
 
 class _Shape(Rebuilt):
@@ -144,9 +144,13 @@ class TriangleMesh(_Shape):
     @cached_property
     def face_areas(self) -> Floats:
         """Area of each triangle, shape (f,), in length^2."""
-        areas, _, exponents = _measures(self.points, self.faces)
+        areas, _, exponents = self._measured
         with np.errstate(over="ignore"):  # infinite is what they are in this unit
             return frozen(np.ldexp(areas, 2 * exponents))
+
+    @cached_property
+    def _measured(self) -> tuple[Floats, Floats, NDArray[np.int32]]:
+        return _measures(self.points, self.faces)
 
     @property
     def area(self) -> float:
@@ -210,7 +214,7 @@ class TriangleMesh(_Shape):
             raise InvalidInputError("relative_area", "be in [0, 1)", repr(relative_area))
         a, b, c = self.faces.T
         repeated = (a == b) | (b == c) | (c == a)
-        areas, longest, _ = _measures(self.points, self.faces)
+        areas, longest, _ = self._measured
         return np.asarray(repeated | (areas <= relative_area * longest**2))
 
     def without_duplicate_faces(self) -> TriangleMesh:
@@ -234,14 +238,22 @@ def _measures(points: Floats, faces: Ints) -> tuple[Floats, Floats, NDArray[np.i
     So no square of a side over- or underflows. Done in blocks of faces: all corners at once would
     take more memory than all else that is counted of a mesh.
     """
-    blocks = []
+    blocks, columns = [], np.ascontiguousarray(points.T)
     for start in range(0, len(faces), _BLOCK):
-        corners = points[faces[start : start + _BLOCK]]
-        sides = np.roll(corners, -1, axis=1) - corners
-        exponents = np.frexp(np.abs(sides).max(axis=(1, 2)))[1]
-        sides = np.ldexp(sides, -exponents[:, None, None])
-        areas = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 2]), axis=1)
-        blocks.append((areas, np.linalg.norm(sides, axis=2).max(axis=1), exponents))
+        # Arrays (3, 3, f), coordinates first: face by face it would take three times as long.
+        some = faces[start : start + _BLOCK].T
+        corners = columns.take(some.ravel(), axis=1).reshape(3, *some.shape)
+        sides = np.concatenate([corners[:, 1:], corners[:, :1]], axis=1)
+        sides -= corners
+        exponents = np.frexp(np.abs(sides).reshape(9, -1).max(axis=0))[1]
+        half = -exponents // 2  # one power of two might overflow
+        sides *= np.ldexp(1.0, half)
+        sides *= np.ldexp(1.0, -exponents - half)
+        (ax, bx), (ay, by), (az, bz) = sides[:, [0, 2]]
+        normals = (ay * bz - az * by) ** 2 + (az * bx - ax * bz) ** 2 + (ax * by - ay * bx) ** 2
+        areas = 0.5 * np.sqrt(normals)
+        longest = np.sqrt((sides**2).sum(axis=0).max(axis=0))
+        blocks.append((areas, longest, exponents))
     areas, longest, exponents = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
     return areas, longest, exponents
 

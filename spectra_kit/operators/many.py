@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import chain
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Literal
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
 from spectra_kit._core.many import about, of_similar_size
-from spectra_kit._core.threads import in_threads, single_threaded
+from spectra_kit._core.threads import in_threads, one_ahead, single_threaded
 from spectra_kit._core.warn import hearing, tell
 from spectra_kit.errors import SpectraKitWarning
 from spectra_kit.geometry.shapes import Geometry, PointCloud
@@ -87,8 +86,9 @@ def laplacian_many(
                 return i, cloud_triangulation(*begun).laplacian, heard
             return i, laplacian(geometries[i], operator=operator, boundary=boundary), heard
 
-    others = ((i,) for i in range(len(geometries)) if i not in clouds)
-    built = in_threads(one, chain(others, _begun(clouds, device)), len(geometries))
+    built = in_threads(one, [(i,) for i in range(len(geometries)) if i not in clouds])
+    for begun in _begun(clouds, device):
+        built += in_threads(one, begun)
     built.sort(key=itemgetter(0))
     for i, _, heard in built:
         for told in heard:
@@ -99,8 +99,8 @@ def laplacian_many(
 
 def _begun(
     clouds: dict[int, PointCloud], device: str
-) -> Iterator[tuple[int, OrderedCloud, FirstStars, float]]:
-    """Yield the name of each cloud, its points, its first stars and the seconds that these took."""
+) -> Iterator[list[tuple[int, OrderedCloud, FirstStars, float]]]:
+    """Yield clouds that go together: their points, first stars, and the seconds that these took."""
     if not clouds:
         return
     from spectra_kit.operators._cover import ordered_cloud
@@ -112,14 +112,18 @@ def _begun(
             return i, ordered_cloud(cloud, _NEIGHBORS), clock.total
 
     there = in_threads(ordered, clouds.items())
-    few = {j for j, (_, own, _) in enumerate(there) if own.n_neighbors < _NEIGHBORS}
-    for group in of_similar_size([one.n for one in clouds.values()], _TOGETHER, few):
+
+    def together(group: tuple[int, ...]) -> list[tuple[int, OrderedCloud, FirstStars, float]]:
         clock, members = Clock(), [there[j] for j in group]
         points = [own.points for _, own, _ in members]
         found = first_stars(points, members[0][1].n_neighbors, device)
         share = clock.total / len(group)
-        for (i, own, seconds), first in zip(members, found, strict=True):
-            yield i, own, first, seconds + share
+        both = zip(members, found, strict=True)
+        return [(i, own, first, seconds + share) for (i, own, seconds), first in both]
+
+    few = {j for j, (_, own, _) in enumerate(there) if own.n_neighbors < _NEIGHBORS}
+    groups = of_similar_size([one.n for one in clouds.values()], _TOGETHER, few)
+    yield from one_ahead(together, groups)
 
 
 def _name(i: int) -> str:

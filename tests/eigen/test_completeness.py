@@ -9,6 +9,7 @@ from conftest import bumpy, creature, joined, moved, two_sheets, whole_spectrum
 from scipy import sparse
 
 import spectra_kit as sk
+from spectra_kit._sparse.pencil import Pencil
 from spectra_kit.eigen import Eigenpairs, accuracy, automatic, run
 from spectra_kit.geometry import sphere, torus
 
@@ -137,18 +138,19 @@ def test_what_sweeps_cannot_complete_is_solved_densely_on_few_points(
 
 
 class Memory:
-    """Room for so many factors, in place of `SparseLDL`."""
+    """Room for so many factors of a pencil, in place of its `factor`."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, room: int) -> None:
-        self.room, self.ended, self.factorise = room, False, accuracy.SparseLDL
-        monkeypatch.setattr(accuracy, "SparseLDL", self)
+    def __init__(self, monkeypatch, room: int) -> None:
+        self.room, self.ended, factor = room, False, Pencil.factor
 
-    def __call__(self, *matrix: object, **options: object) -> object:
-        self.ended = not self.room
-        if self.ended:
-            raise MemoryError
-        self.room -= 1
-        return self.factorise(*matrix, **options)
+        def within(pencil, sigma):
+            if not self.room:
+                self.ended = True
+                raise MemoryError
+            self.room -= 1
+            return factor(pencil, sigma)
+
+        monkeypatch.setattr(Pencil, "factor", within)
 
 
 @pytest.mark.parametrize(

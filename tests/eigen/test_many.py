@@ -12,9 +12,11 @@ from torch.utils._python_dispatch import TorchDispatchMode
 import spectra_kit as sk
 from spectra_kit import Neo, eigensolve, eigensolve_many, robust_laplacian
 from spectra_kit._core.clock import Clock
+from spectra_kit._sparse import batched_eigh
 from spectra_kit._sparse.ritz import ritz_pairs
 from spectra_kit._sparse.torch_device import csr_tensor
 from spectra_kit.eigen.base import block_size
+from spectra_kit.eigen.multigrid import batched
 from spectra_kit.eigen.multigrid.batched import predicted_and_smoothed
 from spectra_kit.eigen.multigrid.cascade import prolonged
 from spectra_kit.eigen.solve import _groups
@@ -242,8 +244,10 @@ def hard() -> list[sk.Laplacian]:
     ],
     ids=["bodies", "raw", "hard", "many modes"],
 )
-def test_a_batch_on_a_device_is_as_its_parts(shapes, k, target, steps):
+def test_a_batch_on_a_device_is_as_its_parts(shapes, k, target, steps, monkeypatch):
     """Of the same functions, all but the rounding of a float32 smoother is the same."""
+    monkeypatch.setattr(batched_eigh, "_on_host", lambda A: False)
+    monkeypatch.setattr(batched_eigh, "_FEW", 2)
     operators, subspace = shapes(), Neo(device="cpu:0").subspace
     basis = subspace._padded([s.points for s in operators], [s.mass for s in operators])
     options = {"keep": block_size(k, 0.2), "target": target, "max_steps": 20 if steps[0] else 0}
@@ -300,9 +304,37 @@ def test_what_a_batch_cannot_hold_is_left_to_those_that_take_one(monkeypatch):
     good, bad = predicted_and_smoothed(shapes, basis, K, **options)
     assert good is not None
     assert bad is None
+    alone = [eigensolve(shape, K, neo) for shape in shapes]
     monkeypatch.setattr(type(neo.subspace), "_padded", lambda self, points, mass: basis)
-    for shape, found in zip(shapes, eigensolve_many(shapes, K, neo, batch=9999), strict=True):
-        assert_same(found, eigensolve(shape, K, neo))
+    for single, found in zip(alone, eigensolve_many(shapes, K, neo, batch=9999), strict=True):
+        assert_same(found, single)
+
+
+def test_a_single_cloud_on_a_device_is_a_batch_of_one():
+    neo = Neo(device="cpu:0")
+    found = eigensolve(bodies()[2], K, neo)
+    assert_same(found, alone(2))
+    assert found.provenance.iterations == alone(2).provenance.iterations
+    assert found.certificate.errors == pytest.approx(alone(2).certificate.errors, rel=0.05)
+    assert "coarsen" not in found.provenance.seconds  # another order of the points gains nothing
+
+
+@pytest.mark.parametrize("most", [0, 1])
+def test_what_does_not_fit_into_a_devices_memory_is_solved_with_less(monkeypatch, most):
+    """Where two do not fit, one by one; where one does not, row by row."""
+    whole, tried = batched.Batch.of, []
+
+    def of(laplacians, device):
+        tried.append(len(laplacians))
+        if len(laplacians) > most:
+            raise torch.OutOfMemoryError("CUDA out of memory")
+        return whole(laplacians, device)
+
+    monkeypatch.setattr(batched.Batch, "of", of)
+    found = eigensolve_many(bodies()[:2], K, Neo(device="cpu:0"))
+    assert tried[:3] == [2, 1, 1]
+    for i, spectrum in enumerate(found):
+        assert_same(spectrum, alone(i))
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")

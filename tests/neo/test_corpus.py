@@ -17,7 +17,8 @@ from conftest import bumpy, produced_here
 from inspect_corpus import Topology, read_config, survey, topology
 from PIL import Image
 
-from spectra_kit import Arpack, Cascade, eigensolve
+from spectra_kit import Arpack, Cascade, Dense, Lanczos, eigensolve
+from spectra_kit.eigen.lanczos import cheapest
 from spectra_kit.eigen.subspaces import AmbientFourier
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, torus
@@ -79,6 +80,23 @@ def test_sample_holds_the_lowest_modes_of_its_points():
     kept = make_sample(config, 0)
     np.testing.assert_array_equal(kept.eigenvectors[0], modes.astype(np.float16))
     np.testing.assert_array_equal(kept.points[0], unit.points.astype(np.float32))
+
+
+def test_no_mode_is_missing_of_many():
+    """By blocks around one shift, on symmetric surfaces too: pairs have both their modes."""
+    weights = dict.fromkeys(FAMILIES, 0.0) | {"symmetric": 1.0, "sheet": 1.0}
+    config = CorpusConfig(seed=5, n_points=512, k=96, mesh_share=0.5, weights=weights)
+    kinds, tol = set(), samples._TOL
+    assert isinstance(cheapest(480, 96, tol=tol), Lanczos)
+    for index in range(5):
+        unit, values, U, labels = exact_sample(config, index)
+        kinds.add(labels["mesh"])
+        exact = Dense().eigenpairs(unit, 97)
+        np.testing.assert_allclose(values, exact.eigenvalues[:96], atol=tol**2 * values[-1])
+        overlap = exact.eigenvectors.T @ (unit.mass[:, None] * U)  # the last may be one of a pair
+        assert 1 - np.sum(overlap**2) / 96 < tol**2
+        np.testing.assert_allclose(U.T @ (unit.mass[:, None] * U), np.eye(96), atol=tol**2)
+    assert kinds == {0, 1}
 
 
 def apart(rng):

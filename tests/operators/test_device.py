@@ -241,31 +241,24 @@ def test_many_are_those_of_single_calls_in_the_order_given(monkeypatch, device, 
     assert laplacian_many([], device=device) == []
 
 
-def test_the_host_does_not_look_for_neighbours_again(monkeypatch) -> None:
-    monkeypatch.setattr(local_delaunay, "first_stars", None)
-    for call in (delaunay_laplacian, lambda one, **where: laplacian_many([one], **where)):
-        call(cloud("square"), device=DEVICE)
-        with pytest.raises(TypeError):
-            call(cloud("square"))
-
-
 class There(sk.Dense):
     device = DEVICE
 
 
-def test_what_solves_on_a_device_has_its_operators_made_there() -> None:
-    shape = cloud("31 points")
-    for solver, there in ((sk.Dense(), False), (There(), True)):
-        plan = sk.datasets.Plan(k=5, solver=solver)
-        calls = (
-            lambda plan=plan: plan.laplacian(shape),
-            lambda plan=plan: plan.laplacians([shape]),
-            lambda plan=plan: sk.spectrum(shape, plan.k, plan.solver),
-        )
-        for call in calls:
-            with Launches() as launches:
-                call()
-            assert (launches.all > 0) == there
+def test_the_host_does_not_look_for_neighbours_of_what_a_device_has(monkeypatch) -> None:
+    """Nor where it is a solver that asks for the device."""
+    monkeypatch.setattr(local_delaunay, "first_stars", None)
+    shape, here, there = cloud("square"), sk.Dense(), There()
+    plans = {solver: sk.datasets.Plan(k=5, solver=solver) for solver in (here, there)}
+    for call in (
+        lambda solver: delaunay_laplacian(shape, device=getattr(solver, "device", "cpu")),
+        lambda solver: plans[solver].laplacian(shape),
+        lambda solver: plans[solver].laplacians([shape]),
+        lambda solver: sk.spectrum(shape, 5, solver),
+    ):
+        call(there)
+        with pytest.raises(TypeError, match="not callable"):
+            call(here)
 
 
 # --- what is refused -----------------------------------------------------------------------------

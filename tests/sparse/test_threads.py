@@ -16,6 +16,7 @@ from spectra_kit._core.threads import (
     _quota,
     blas_threads_for,
     in_threads,
+    one_ahead,
     single_threaded_blas,
 )
 
@@ -138,23 +139,6 @@ def test_after_a_failure_nothing_new_begins(monkeypatch):
     assert len(begun) < 10
 
 
-@pytest.mark.parametrize("threads", ["1", "2"])
-def test_work_begins_while_the_rest_is_made(monkeypatch, threads):
-    monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
-    begun = threading.Event()
-
-    def arguments():
-        yield (0,)
-        assert threads == "1" or begun.wait(60)
-        yield from ((i,) for i in range(1, 5))
-
-    def task(i):
-        begun.set()
-        return i
-
-    assert in_threads(task, arguments(), 5) == list(range(5))
-
-
 @pytest.mark.parametrize(
     ("group", "files", "cores"),
     [
@@ -178,3 +162,24 @@ def test_the_cores_of_a_group_are_counted(tmp_path, group, files, cores):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
     assert _quota(tmp_path, own) == cores
+
+
+def test_one_is_begun_ahead_and_no_more():
+    begun, seen = [], []
+
+    def task(i):
+        begun.append(i)
+        return i * i
+
+    for square in one_ahead(task, range(5)):
+        seen.append(square)
+        assert len(begun) <= len(seen) + 1
+    assert seen == [0, 1, 4, 9, 16]
+    assert list(one_ahead(task, [])) == []
+
+
+def test_what_fails_ahead_is_told_in_its_turn():
+    whole = one_ahead(lambda i: 1 // (2 - i), range(4))
+    assert [next(whole), next(whole)] == [0, 1]
+    with pytest.raises(ZeroDivisionError):
+        next(whole)

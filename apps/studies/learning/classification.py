@@ -54,6 +54,7 @@ WHOLE: dict[str, e.Embedding] = {
 #: Of points, for networks.
 OF_POINTS: dict[str, e.Embedding] = {
     "neo-mass-free": e.BasisFunctions(subspace=NeoSubspace(), masses=False),
+    "neo-base-mass-free": e.BasisFunctions(subspace=NeoSubspace("base"), masses=False),
     "neo": e.BasisFunctions(subspace=NeoSubspace()),
     "plane-waves": e.BasisFunctions(subspace=AmbientFourier(m=132, bandwidth=7.0)),
     "encoding": e.PositionalEncoding(),
@@ -143,6 +144,7 @@ TRAINED = [
     Row(_PREDICTED, embedding, method)
     for embedding, method in (
         ("neo-mass-free", "pointnet"),
+        ("neo-base-mass-free", "pointnet"),
         ("neo", "pointnet"),
         ("global", "pointnet"),
         ("heat+waves", "pointnet"),

@@ -85,6 +85,7 @@ def parts_rows(name: str) -> list[PartsRow]:
         PartsRow(name, _EXACT, "neo", "mlp"),
         PartsRow(name, _EXACT, "encoding", "mlp"),
         PartsRow(name, _EXACT, "neo-mass-free", "pointnet++"),
+        PartsRow(name, _EXACT, "neo-base-mass-free", "pointnet++"),
         PartsRow(name, _EXACT, "coordinates", "pointnet++"),
     ]
 

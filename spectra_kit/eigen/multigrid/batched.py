@@ -17,6 +17,7 @@ from scipy import sparse
 from torch import Tensor
 
 from spectra_kit._core.clock import Clock
+from spectra_kit._sparse.batched_eigh import eigh
 from spectra_kit._sparse.torch_device import csr_product, csr_tensor
 from spectra_kit.eigen.multigrid import estimates, smoothing
 from spectra_kit.eigen.multigrid.cascade import (
@@ -104,13 +105,13 @@ class Batch(NamedTuple):
         root = torch.linalg.solve_triangular(factor, eye, upper=False).mT  # W^T G W is one
         fit = (failed == 0) & (root.square().sum((1, 2)) < 1 / lowest)
         whitener = torch.where(fit[:, None, None], root / scale[..., None], eye)
-        inside = Y.mT @ self.product(Y)
-        inside = whitener.mT @ (inside + inside.mT) @ whitener / 2
-        inside = torch.where(fit[:, None, None], inside, eye)
-        values, rotation = torch.linalg.eigh(inside)
-        U = Y @ (whitener @ rotation[..., :keep])
+        inside = whitener.mT @ (Y.mT @ self.product(Y)) @ whitener
+        inside = torch.where(fit[:, None, None], (inside + inside.mT) / 2, eye)
+        values, rotation, right = eigh(inside, keep)
+        U = Y @ (whitener @ rotation)
         # Rounding of the Gram matrix that is left: one step towards the orthonormal nearby.
-        return values[:, :keep], U @ (1.5 * eye[:keep, :keep] - 0.5 * self.gram(U)), fit
+        U = U @ (1.5 * eye[:keep, :keep] - 0.5 * self.gram(U))
+        return values, U, fit & right
 
     def correction(
         self, residual: Tensor, values: Tensor, lowest: Tensor, degrees: Tensor

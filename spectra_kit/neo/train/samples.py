@@ -20,7 +20,7 @@ from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count
 from spectra_kit._core.warn import hearing
 from spectra_kit.eigen.base import NotConvergedError
-from spectra_kit.eigen.lanczos import cheapest
+from spectra_kit.eigen.lanczos import cheapest, or_densely
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry.sampling import GaussianDensity, sample
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
@@ -32,8 +32,9 @@ from spectra_kit.operators.laplacian import Laplacian
 
 FROM_POOL = -1  # the label `family` of samples that are real meshes
 REASONS = ("mesh", "components", "solve")  # of rejection
-# Of eigenvalues. Spans then agree to 1e-7 with those to rounding; float16 holds 3 digits.
-_TOL = 1e-4
+# Of residuals. Spans then agree to 1e-7 with those to rounding, eigenvalues to 1e-6; float16 holds
+# 3 digits.
+_TOL = 1e-3
 _PATIENCE = 4  # rejections after which a sample tries another family or mesh of the pool
 # Vertices of a mesh for each mode: those aimed at, and those that must be left of them. On fewer,
 # the modes are nearly all functions that there are, and those of a network all.
@@ -251,7 +252,7 @@ class CorpusConfig:
         path, split = values.pop("pool"), values.pop("pool_split")
         values["pool"] = open_pool(path, split).digest if self.pool_share else None
         weights = family_weights(values.pop("weights"))
-        return {"format": 7, **values, "families": weights if self.pool_share < 1 else {}}
+        return {"format": 8, **values, "families": weights if self.pool_share < 1 else {}}
 
 
 def make_sample(config: CorpusConfig, index: int) -> Samples:
@@ -372,7 +373,8 @@ def _attempted(
         if laplacian.n_components > 1:
             return "components"
         # Not by `eigensolve`: certificate and count of modes would be a third of the work.
-        pairs = cheapest(laplacian.n, config.k, tol=_TOL).eigenpairs(laplacian, config.k)
+        solver = cheapest(laplacian.n, config.k, tol=_TOL)
+        pairs = or_densely(solver, laplacian, config.k, reason="")
     except (InvalidInputError, ConvergenceError, NotConvergedError):
         return "solve"
     area, order = laplacian.area, np.argsort(pairs.eigenvalues)

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from spectra_kit._core.types import Floats
+from spectra_kit._core.types import Floats, Ints
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.components import largest_component
-from spectra_kit.geometry.shapes import TriangleMesh
+from spectra_kit.geometry.shapes import TriangleMesh, side_keys
 
 
 def grid_mesh(points: Floats, *, wrap_v: bool = False) -> TriangleMesh:
@@ -155,12 +155,12 @@ def warped(points: Floats, rng: np.random.Generator, likely: float) -> Floats:
 
 def quartered(mesh: TriangleMesh) -> TriangleMesh:
     """Cut each face into four alike at the middles of its edges, however many faces share these."""
-    sides = np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    ends, which = np.unique(sides, axis=0, return_inverse=True)
+    sides, which = np.unique(side_keys(mesh.faces, mesh.n), return_inverse=True)
+    low, high = np.divmod(sides, mesh.n)
     ab, bc, ca = mesh.n + which.reshape(-1, 3).T
     a, b, c = mesh.faces.T
     quarters = ([a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca])
-    points = np.concatenate([mesh.points, mesh.points[ends].mean(axis=1)])
+    points = np.concatenate([mesh.points, (mesh.points[low] + mesh.points[high]) / 2])
     return TriangleMesh(points, np.concatenate([np.stack(part, axis=1) for part in quarters]))
 
 
@@ -172,16 +172,18 @@ def bisected(mesh: TriangleMesh, longest: float) -> TriangleMesh:
     """
     points, faces, done = mesh.points, mesh.faces, []
     while len(faces):
-        corners = points[faces]
-        lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-        long = lengths.max(axis=1) > longest
+        corners = points.T.take(faces.T, axis=1)  # coordinates first, which is twice as quick
+        x, y, z = np.concatenate([corners[:, 1:], corners[:, :1]], axis=1) - corners
+        lengths = np.sqrt(x**2 + y**2 + z**2)
+        long = lengths.max(axis=0) > longest
         done.append(faces[~long])
         # Turn each face so that its longest edge runs from its first corner to its second.
-        order = (lengths[long].argmax(axis=1)[:, None] + np.arange(3)) % 3
+        order = (lengths[:, long].argmax(axis=0)[:, None] + np.arange(3)) % 3
         a, b, c = np.take_along_axis(faces[long], order, axis=1).T
-        ends, which = np.unique(np.sort(np.stack([a, b], 1), axis=1), axis=0, return_inverse=True)
-        middle = len(points) + which.ravel()
-        points = np.concatenate([points, points[ends].mean(axis=1)])
+        n = len(points)
+        cut, which = np.unique(np.minimum(a, b) * n + np.maximum(a, b), return_inverse=True)
+        low, high = np.divmod(cut, n)
+        points, middle = np.concatenate([points, (points[low] + points[high]) / 2]), n + which
         faces = np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])
     return TriangleMesh(points, np.concatenate(done))
 
@@ -240,12 +242,16 @@ def _clustered(mesh: TriangleMesh, wanted: int) -> TriangleMesh:
     Any mesh can be so decimated; libigl's edge collapses never end on some.
     """
     size = 0.5 * float(np.sqrt(mesh.area / wanted))
-    while True:
-        cells = np.floor(mesh.points / size).astype(np.int64)
-        which = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
-        counts = np.bincount(which)
-        if len(counts) <= wanted:
-            break
+    while len(np.unique(cells := _cells(mesh.points, size))) > wanted:
         size *= 1.05
+    which = np.unique(cells, return_inverse=True)[1]
+    counts = np.bincount(which)
     sums = np.column_stack([np.bincount(which, axis) for axis in mesh.points.T])
     return connected(TriangleMesh(sums / counts[:, None], which[mesh.faces]))
+
+
+def _cells(points: Floats, size: float) -> Ints:
+    """Return a number for the cell of a grid that each point lies in, ascending by x, y and z."""
+    cells = np.floor(points / size).astype(np.int64)
+    x, y, z = (cells - cells.min(axis=0)).T
+    return np.asarray((x * (y.max() + 1) + y) * (z.max() + 1) + z)
