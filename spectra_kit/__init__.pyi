@@ -45,6 +45,7 @@ from .operators import delaunay_laplacian as delaunay_laplacian
 from .operators import intrinsic_delaunay as intrinsic_delaunay
 from .operators import knn_laplacian as knn_laplacian
 from .operators import laplacian as laplacian
+from .operators import laplacian_many as laplacian_many
 from .operators import robust_laplacian as robust_laplacian
 
 __version__: str

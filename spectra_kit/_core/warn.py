@@ -38,6 +38,11 @@ def warn(
     """Warn at the line that called the package, however deep inside the reason was found."""
     told = category(message, advice=advice, remedies=remedies)
     told.where = where
+    tell(told)
+
+
+def tell(told: SpectraKitWarning) -> None:
+    """Say a warning that is made, or was heard."""
     if (heard := _heard.get()) is not None:
         heard.append(told)
         return

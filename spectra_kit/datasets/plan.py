@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.validate import check_count
 from spectra_kit._core.version import VERSION
 from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit.eigen import Automatic, Eigensolver
+from spectra_kit.eigen.solve import device_of
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, largest_component, repair, sample
-from spectra_kit.operators import Laplacian, laplacian
+from spectra_kit.operators import Laplacian, laplacian, laplacian_many
 
 Descriptor = Literal["hks", "wks", "gps", "dna"]
 OperatorName = Literal["stiffness", "gradient"]
@@ -107,7 +109,17 @@ class Plan:
 
     def laplacian(self, shape: Geometry) -> Laplacian:
         """Return the operator of a prepared shape, with its boundary condition."""
-        return laplacian(shape, operator=self.operator, boundary=self.boundary)
+        return laplacian(shape, **self._making)
+
+    def laplacians(self, shapes: Sequence[Geometry]) -> list[Laplacian]:
+        """Return the operators of many prepared shapes; errors say of which (`laplacian_many`)."""
+        return laplacian_many(shapes, **self._making)
+
+    @property
+    def _making(self) -> dict[str, Any]:
+        """How operators are made: where the solver works."""
+        where = device_of(self.solver)
+        return {"operator": self.operator, "boundary": self.boundary, "device": where}
 
     def gigabytes(self, n: int) -> float:
         """Estimate what the modes of n points take while they are solved for, in GiB.

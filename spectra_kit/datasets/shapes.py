@@ -423,14 +423,20 @@ def _solve(store: SpectrumStore, reads: Collection[FileRead], plan: Plan) -> Non
     """
     if not reads:
         return
-    shapes, laplacians = list[Geometry](), list[Laplacian]()
     with hearing(), single_threaded_blas(), suppress(SpectraKitError, MemoryError):
-        for one in reads:
-            with suppress(SpectraKitError):
-                laplacian = plan.laplacian(one.shape)
-                if plan.k <= len(laplacian.free):
-                    shapes.append(one.shape)
-                    laplacians.append(laplacian)
-        solved = eigensolve_many(laplacians, plan.k, plan.solver)
-        for shape, spectrum in zip(shapes, solved, strict=True):
+        made = _operators([one.shape for one in reads], plan)
+        able = [(shape, own) for shape, own in made if plan.k <= len(own.free)]
+        solved = eigensolve_many([own for _, own in able], plan.k, plan.solver)
+        for (shape, _), spectrum in zip(able, solved, strict=True):
             store.keep_spectrum(shape, plan, spectrum)
+
+
+def _operators(shapes: Sequence[Geometry], plan: Plan) -> list[tuple[Geometry, Laplacian]]:
+    """Return all shapes that have an operator, with it."""
+    with suppress(SpectraKitError, MemoryError):
+        return [*zip(shapes, plan.laplacians(shapes), strict=True)]
+    made = []
+    for shape in shapes:
+        with suppress(SpectraKitError):
+            made.append((shape, plan.laplacian(shape)))
+    return made

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from itertools import chain
 from typing import Annotated, Any, cast
 
@@ -11,6 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.many import about, of_similar_size
 from spectra_kit._core.threads import in_threads, one_ahead, single_threaded
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count
@@ -26,7 +26,6 @@ from spectra_kit.operators.laplacian import Laplacian
 
 # Of a pass on a device, where 500,000 points took 6 GB: twice as much is left free.
 _MOST_POINTS, _BYTES_PER_POINT = 2**18, 25_000
-_PADDED = 0.8  # of the largest of a batch: the smallest has as many points, or more
 
 
 @checked
@@ -40,7 +39,7 @@ def spectrum(geometry: Geometry, k: int, solver: Eigensolver = Automatic()) -> S
     k : int
         Number of modes, zero modes included.
     solver : Eigensolver, default Automatic()
-        As in `eigensolve`.
+        As in `eigensolve`. On its device the Laplacian of a cloud is made, too.
 
     Returns
     -------
@@ -58,7 +57,7 @@ def spectrum(geometry: Geometry, k: int, solver: Eigensolver = Automatic()) -> S
     >>> sk.spectrum(sk.geometry.sphere(subdivisions=3).geometry, 4).eigenvalues.round(1)
     array([0., 2., 2., 2.])
     """
-    return eigensolve(assemble(geometry), k, solver)
+    return eigensolve(assemble(geometry, device=device_of(solver)), k, solver)
 
 
 @checked
@@ -220,11 +219,11 @@ def eigensolve_many(
     check_count("k", k, low=1)
     batch = points_of_a_pass(solver) if batch is None else check_count("batch", batch, low=1)
     for i, laplacian in enumerate(laplacians):
-        with _about(i):
+        with about(_name(i)):
             check_modes(laplacian, k)
 
     def one(i: int, begun: Callable[[], Eigenpairs] | None = None) -> Spectrum:
-        with _about(i):
+        with about(_name(i)):
             return solve(laplacians[i], k, solver, begun)
 
     def alone(i: int, begun: Callable[[], Eigenpairs] | None) -> tuple[int, Spectrum]:
@@ -254,12 +253,17 @@ def eigensolve_many(
 
 def is_on_device(solver: Eigensolver) -> bool:
     """Whether a solver works elsewhere than on the host."""
-    return str(getattr(solver, "device", "cpu")) != "cpu"
+    return device_of(solver) != "cpu"
+
+
+def device_of(solver: Eigensolver) -> str:
+    """Return where a solver works."""
+    return str(getattr(solver, "device", "cpu"))
 
 
 def points_of_a_pass(solver: Eigensolver) -> int:
     """Return how many points may share a pass of a solver: a device idles while it has few."""
-    device = str(getattr(solver, "device", "cpu"))
+    device = device_of(solver)
     if not device.startswith("cuda"):
         return 4096 if device == "cpu" else _MOST_POINTS
     import torch
@@ -269,17 +273,8 @@ def points_of_a_pass(solver: Eigensolver) -> int:
 
 
 def _groups(laplacians: Sequence[Laplacian], batch: int) -> list[tuple[int, ...]]:
-    """Return which operators go together, largest first: of similar size, or one on its own."""
-    groups: list[list[int]] = []
-    for i in sorted(range(len(laplacians)), key=lambda i: -laplacians[i].n):
-        if groups and is_whole(laplacians[i]):
-            largest, count = laplacians[groups[-1][0]], len(groups[-1]) + 1
-            near = laplacians[i].n >= _PADDED * largest.n and count * largest.n <= batch
-            if near and is_whole(largest):
-                groups[-1].append(i)
-                continue
-        groups.append([i])
-    return [tuple(group) for group in groups]
+    alone = {i for i, laplacian in enumerate(laplacians) if not is_whole(laplacian)}
+    return of_similar_size([laplacian.n for laplacian in laplacians], batch, alone)
 
 
 def _begun(
@@ -296,16 +291,6 @@ def _begun(
 
 def _name(i: int) -> str:
     return f"laplacians[{i}]"
-
-
-@contextmanager
-def _about(i: int) -> Iterator[None]:
-    """Let an error inside say which operator it is about."""
-    try:
-        yield
-    except SpectraKitError as error:
-        error.where = _name(i)
-        raise
 
 
 def check_modes(laplacian: Laplacian, k: int) -> None:

@@ -9,6 +9,7 @@ from spectra_kit.operators.assemble import (
 )
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.operators.laplacian import Laplacian
+from spectra_kit.operators.many import laplacian_many
 from spectra_kit.operators.oriented import (
     OrientedTriangles,
     area_form,
@@ -29,6 +30,7 @@ __all__ = [
     "intrinsic_delaunay",
     "knn_laplacian",
     "laplacian",
+    "laplacian_many",
     "orientation_operator",
     "oriented_triangles",
     "robust_laplacian",

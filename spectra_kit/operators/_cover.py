@@ -24,8 +24,8 @@ from spectra_kit.operators._edge_flips import (
     sides_by_corner,
 )
 from spectra_kit.operators._tufted import tufted_cover
-from spectra_kit.operators.checks import mean_edges, unit_of, units_of
-from spectra_kit.operators.local_delaunay import local_triangles
+from spectra_kit.operators.checks import check_cloud_usable, mean_edges, unit_of, units_of
+from spectra_kit.operators.local_delaunay import FirstStars, local_triangles
 from spectra_kit.operators.triangle_calculus import areas
 
 _BLOCK = 16_384  # points of one task: fixed, so that nothing depends on the number of threads
@@ -108,12 +108,27 @@ def folded(slopes: Floats, copies: int) -> Floats:
     return np.asarray(front + back[:, ::-1])  # whose sides run the other way: see `_SIDES`
 
 
-def cloud_cover(cloud: PointCloud, mollify_factor: float, n_neighbors: int) -> Cover:
-    # Neighbours in space become neighbours in memory; any unit of length becomes about 1.
-    order = cKDTree(cloud.points).indices
-    unit = unit_of(cloud)
-    points = cloud.points[order] / unit
-    triangles, closed, reach = local_triangles(points, n_neighbors)
+class OrderedCloud(NamedTuple):
+    """A cloud as triangles are looked for: neighbours in space are neighbours in memory."""
+
+    cloud: PointCloud
+    n_neighbors: int
+    order: Ints
+    unit: float
+    points: Floats  # in this order and unit, in which any cloud is of a size about 1
+
+
+def ordered_cloud(cloud: PointCloud, n_neighbors: int) -> OrderedCloud:
+    n_neighbors = check_cloud_usable(cloud, n_neighbors)
+    order, unit = cKDTree(cloud.points).indices, unit_of(cloud)
+    return OrderedCloud(cloud, n_neighbors, order, unit, cloud.points[order] / unit)
+
+
+def cloud_cover(
+    ordered: OrderedCloud, mollify_factor: float, first: FirstStars | None = None
+) -> Cover:
+    cloud, n_neighbors, order, unit, points = ordered
+    triangles, closed, reach = local_triangles(points, n_neighbors, first)
     lengths = side_lengths(points, triangles, mollify_factor)
     boundary = order[_is_boundary(triangles, lengths, closed, reach)]
     corners, lengths, twins = _front_and_back(

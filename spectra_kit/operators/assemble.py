@@ -22,6 +22,7 @@ from spectra_kit.operators.checks import (
     check_faces_usable,
     check_mollify_factor,
     mean_edges,
+    off_host,
     unit_of,
     units_of,
     warn_of_near_parts,
@@ -40,6 +41,7 @@ def laplacian(
     *,
     operator: Literal["robust", "cotan", "knn", "delaunay"] | None = None,
     boundary: Literal["neumann", "dirichlet"] = "neumann",
+    device: str = "cpu",
 ) -> Laplacian:
     """Build the Laplacian that fits: `robust_laplacian` of a mesh, `delaunay_laplacian` of a cloud.
 
@@ -51,6 +53,8 @@ def laplacian(
         Another one, by its name.
     boundary : {"neumann", "dirichlet"}, default "neumann"
         What holds at the boundary of a mesh; Dirichlet holds it at zero.
+    device : str, default "cpu"
+        As of `delaunay_laplacian`; other operators are the host's.
 
     Returns
     -------
@@ -65,7 +69,8 @@ def laplacian(
     """
     if operator == "cotan" and not isinstance(geometry, TriangleMesh):
         raise InvalidInputError("operator", "be one for points", "cotan, which needs a mesh")
-    built = _BY_NAME[operator or "robust"](geometry)
+    where = {"device": device} if off_host(device) and operator not in ("cotan", "knn") else {}
+    built = _BY_NAME[operator or "robust"](geometry, **where)
     if boundary == "neumann":
         return built
     if not isinstance(geometry, TriangleMesh) or not len(geometry.boundary_vertices):
@@ -75,7 +80,11 @@ def laplacian(
 
 @checked
 def robust_laplacian(
-    geometry: Geometry, *, mollify_factor: float = 1e-5, n_neighbors: int = 30
+    geometry: Geometry,
+    *,
+    mollify_factor: float = 1e-5,
+    n_neighbors: int = 30,
+    device: str = "cpu",
 ) -> Laplacian:
     """Build the intrinsic Delaunay Laplacian of a mesh or a point cloud.
 
@@ -92,6 +101,8 @@ def robust_laplacian(
         this share of that length, so details must not be so small.
     n_neighbors : int, default 30
         Of a cloud, see `intrinsic_delaunay`.
+    device : str, default "cpu"
+        Of a cloud, too; the operator of a mesh is made on the host.
 
     Returns
     -------
@@ -124,9 +135,12 @@ def robust_laplacian(
     12.3
     """
     if not isinstance(geometry, TriangleMesh):
-        return delaunay_laplacian(geometry, mollify_factor=mollify_factor, n_neighbors=n_neighbors)
+        return delaunay_laplacian(
+            geometry, mollify_factor=mollify_factor, n_neighbors=n_neighbors, device=device
+        )
     clock = Clock()
     check_mollify_factor(mollify_factor)
+    off_host(device)
     check_faces_usable(geometry)
     warn_of_seams(geometry)
     _check_room(len(geometry.faces) * _BYTES_PER_FACE)
@@ -154,7 +168,11 @@ def _check_room(size: int) -> None:
 
 @checked
 def delaunay_laplacian(
-    geometry: Geometry, *, mollify_factor: float = 1e-5, n_neighbors: int = 30
+    geometry: Geometry,
+    *,
+    mollify_factor: float = 1e-5,
+    n_neighbors: int = 30,
+    device: str = "cpu",
 ) -> Laplacian:
     """Build the intrinsic Delaunay Laplacian of a mesh or a point cloud.
 
@@ -162,14 +180,15 @@ def delaunay_laplacian(
     ----------
     geometry : TriangleMesh or PointCloud
         With n points.
-    mollify_factor, n_neighbors
+    mollify_factor, n_neighbors, device
         As of `intrinsic_delaunay`.
 
     Returns
     -------
     Laplacian
         Neumann; edge weights are not negative beyond rounding; mass in the squared length unit
-        of `geometry`. The same bits whatever the number of threads.
+        of `geometry`. The same bits whatever the number of threads; on a device, the same up to
+        rounding.
 
     Examples
     --------
@@ -179,7 +198,7 @@ def delaunay_laplacian(
     [12.51, 12.51]
     """
     return intrinsic_delaunay(
-        geometry, mollify_factor=mollify_factor, n_neighbors=n_neighbors
+        geometry, mollify_factor=mollify_factor, n_neighbors=n_neighbors, device=device
     ).laplacian
 
 

@@ -41,6 +41,16 @@ def check_mollify_factor(value: float) -> None:
         )
 
 
+def off_host(device: str) -> bool:
+    """Whether a device is another than the host; refuse one that torch cannot use here."""
+    if device == "cpu":  # which needs no torch
+        return False
+    from spectra_kit._sparse.torch_device import check_device
+
+    check_device(device)
+    return True
+
+
 def check_faces_usable(mesh: TriangleMesh) -> None:
     """Refuse what no operator can give a mass: lone vertices and faces that are no triangles."""
     used = np.zeros(mesh.n, dtype=bool)

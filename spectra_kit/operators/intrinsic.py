@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,13 +18,17 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.seams import warn_of_seams
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators.checks import (
-    check_cloud_usable,
     check_faces_usable,
     check_mollify_factor,
+    off_host,
     warn_of_near_parts,
 )
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.operators.triangle_calculus import areas, divergences, gradients
+
+if TYPE_CHECKING:
+    from spectra_kit.operators._cover import Cover, OrderedCloud
+    from spectra_kit.operators.local_delaunay import FirstStars
 
 _MOST = 0.9  # share of the edges that longer ones do not outweigh
 
@@ -157,7 +162,11 @@ class IntrinsicTriangulation(Rebuilt):
 
 @checked
 def intrinsic_delaunay(
-    geometry: Geometry, *, mollify_factor: float = 1e-5, n_neighbors: int = 30
+    geometry: Geometry,
+    *,
+    mollify_factor: float = 1e-5,
+    n_neighbors: int = 30,
+    device: str = "cpu",
 ) -> IntrinsicTriangulation:
     """Triangulate a mesh or a point cloud by Delaunay triangles on its own surface.
 
@@ -174,6 +183,9 @@ def intrinsic_delaunay(
         triangles; capped at n - 1. Fewer than 30 miss triangles of random points, more may bridge
         a gap. Where they lie on one line, as in rings, lines and slices of a scan, more of them
         are asked by themselves, up to 960.
+    device : str, default "cpu"
+        Where neighbours, planes and stars of a cloud are found, by torch: "cuda". All that follows,
+        what is asked of neighbours on a line, and all of a mesh is the host's.
 
     Returns
     -------
@@ -212,24 +224,49 @@ def intrinsic_delaunay(
     >>> round(triangulation.area, 3), len(triangulation.boundary)
     (1.618, 36)
     """
-    from spectra_kit.operators._cover import cloud_cover, mesh_cover  # numba is slow to import
+    from spectra_kit.operators._cover import mesh_cover, ordered_cloud  # numba is slow to import
 
     clock = Clock()
     check_mollify_factor(mollify_factor)
-    if isinstance(geometry, TriangleMesh):
-        check_faces_usable(geometry)
-        warn_of_seams(geometry)
-        cover = mesh_cover(geometry, mollify_factor)
-        operator = f"delaunay_laplacian(mesh, mollify_factor={mollify_factor:g})"
-    else:
-        neighbors = check_cloud_usable(geometry, n_neighbors)
-        cover = cloud_cover(geometry, mollify_factor, neighbors)
-        operator = f"delaunay_laplacian(mollify_factor={mollify_factor:g}, n_neighbors={neighbors})"
-    laplacian = Laplacian(
-        cover.stiffness, cover.mass, geometry.points, operator=operator, seconds=clock.total
-    )
+    on_device = off_host(device)
     if not isinstance(geometry, TriangleMesh):
-        warn_of_near_parts(laplacian, neighbors)
+        ordered = ordered_cloud(geometry, n_neighbors)
+        first = None
+        if on_device:
+            from spectra_kit.operators._device_stars import first_stars
+
+            (first,) = first_stars([ordered.points], ordered.n_neighbors, device)
+        return cloud_triangulation(ordered, first, clock.total, mollify_factor)
+    check_faces_usable(geometry)
+    warn_of_seams(geometry)
+    operator = f"delaunay_laplacian(mesh, mollify_factor={mollify_factor:g})"
+    cover = mesh_cover(geometry, mollify_factor)
+    return _of_cover(cover, geometry, operator, clock.total)
+
+
+def cloud_triangulation(
+    ordered: OrderedCloud, first: FirstStars | None, spent: float, mollify_factor: float = 1e-5
+) -> IntrinsicTriangulation:
+    """Go on from what the first neighbours tell, unless that is still to be found.
+
+    So many seconds were `spent` before.
+    """
+    from spectra_kit.operators._cover import cloud_cover
+
+    clock = Clock()
+    cover, neighbors = cloud_cover(ordered, mollify_factor, first), ordered.n_neighbors
+    operator = f"delaunay_laplacian(mollify_factor={mollify_factor:g}, n_neighbors={neighbors})"
+    found = _of_cover(cover, ordered.cloud, operator, spent + clock.total)
+    warn_of_near_parts(found.laplacian, neighbors)
+    return found
+
+
+def _of_cover(
+    cover: Cover, geometry: Geometry, operator: str, seconds: float
+) -> IntrinsicTriangulation:
+    laplacian = Laplacian(
+        cover.stiffness, cover.mass, geometry.points, operator=operator, seconds=seconds
+    )
     return IntrinsicTriangulation(
         cover.corners, cover.lengths, 1 / cover.copies, cover.boundary, laplacian
     )

@@ -25,35 +25,31 @@ _ENTRIES = _BLOCK * 32  # neighbours of points that are held at once
 _SMALLEST = 1e-150  # distance of two points, in the unit of the cloud: its square must be a number
 
 
-def local_triangles(points: Floats, n_neighbors: int) -> tuple[Ints32, Bools, Floats]:
+def local_triangles(
+    points: Floats, n_neighbors: int, first: FirstStars | None = None
+) -> tuple[Ints32, Bools, Floats]:
     """Return the triangles of all stars, which stars are closed, and how far each point looked.
 
     Of shapes (t, 3), (n,) and (n,). The first corner of a triangle is the point whose star it
-    belongs to, so a consistent triangle is there three times.
+    belongs to, so a consistent triangle is there three times. What the first neighbours tell may
+    have been found elsewhere.
 
     The triangle (0, p, q) belongs to the star of 0 if a sphere through its corners, centred in the
     tangent plane of 0, has no point inside. With (x, y) the projection of a point and z its
     squared distance in space, that is the convex hull of all (x, y) / z and the origin: one
     angular sort. The origin is itself a corner of that hull where the star is open.
     """
-    tree = cKDTree(points)
     n = len(points)
-    neighbors, nearest, _, farthest = _nearest(tree, np.arange(n), n_neighbors)
-    if nearest.min() < _SMALLEST:
-        raise InvalidInputError(
-            "geometry",
-            f"have points further apart than {_SMALLEST:g} of its extent",
-            "two that are closer",
-            advice="drop one of them",
-        )
-    # Random but fixed: all stars decide alike between the diagonals of a square.
-    ties = _TIE * nearest**2 * np.random.default_rng(0).random(n)
-    stars = _stars(points, ties, np.arange(n), neighbors)
-    closed, kept, wider = stars.closed.copy(), np.ones(n, dtype=bool), []
+    stars, nearest, farthest = first or first_stars(points, n_neighbors)
+    _check_apart(nearest)
+    closed, farthest = stars.closed.copy(), farthest.copy()
+    kept, wider = np.ones(n, dtype=bool), []
     # Points scanned in lines have neighbours on their own line alone, which tell no plane: more
     # of them, until there is a plane and the star closes in it. On a boundary it does not: there
     # they look about three times as far as the next line is, as 30 neighbours elsewhere do.
     asked, planes = np.flatnonzero(stars.lined), np.zeros(n, dtype=np.int8)
+    if len(asked):
+        tree, ties = cKDTree(points), _ties(nearest)
     while len(asked) and n_neighbors < min(_WIDEST, n - 1):
         n_neighbors = min(2 * n_neighbors, n - 1)
         for rows in np.array_split(asked, -(-len(asked) * n_neighbors // _ENTRIES)):
@@ -68,7 +64,44 @@ def local_triangles(points: Floats, n_neighbors: int) -> tuple[Ints32, Bools, Fl
     return np.concatenate([stars.triangles(kept), *wider]), closed, farthest
 
 
-class _Stars(NamedTuple):
+class FirstStars(NamedTuple):
+    """Stars among the first neighbours of all points, and how far the nearest and the last are."""
+
+    stars: Stars
+    nearest: Floats
+    farthest: Floats
+
+
+def first_stars(points: Floats, n_neighbors: int) -> FirstStars:
+    """Begin to look for the triangles of a cloud."""
+    rows = np.arange(len(points))
+    neighbors, nearest, _, farthest = _nearest(cKDTree(points), rows, n_neighbors)
+    _check_apart(nearest)
+    stars = _stars(points, _ties(nearest), rows, neighbors)
+    return FirstStars(stars, nearest, farthest)
+
+
+def _check_apart(nearest: Floats) -> None:
+    if nearest.min() < _SMALLEST:
+        raise InvalidInputError(
+            "geometry",
+            f"have points further apart than {_SMALLEST:g} of its extent",
+            "two that are closer",
+            advice="drop one of them",
+        )
+
+
+def nearest_by_tree(points: Floats, k: int) -> Ints32:
+    """Return the k nearest neighbours of all points, (n, k)."""
+    return _nearest(cKDTree(points), np.arange(len(points)), k)[0]
+
+
+def _ties(nearest: Floats) -> Floats:
+    """Return weights that are random but fixed: all stars cut a square along one diagonal."""
+    return _TIE * nearest**2 * np.random.default_rng(0).random(len(nearest))
+
+
+class Stars(NamedTuple):
     """Of the points `rows` (p,): corners (p, k), their number, and whether they go all around."""
 
     rows: NDArray[np.int64]
@@ -100,11 +133,11 @@ def _nearest(
     return near, *distances
 
 
-def _stars(points: Floats, ties: Floats, rows: NDArray[np.int64], neighbors: Ints32) -> _Stars:
+def _stars(points: Floats, ties: Floats, rows: NDArray[np.int64], neighbors: Ints32) -> Stars:
     from spectra_kit.operators._hulls import hulls
 
     p = len(rows)
-    found = _Stars(
+    found = Stars(
         rows,
         np.empty_like(neighbors),
         np.empty(p, dtype=np.int32),
