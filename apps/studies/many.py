@@ -17,10 +17,11 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Iterator
+from itertools import islice
 
 import numpy as np
 
-from spectra_kit import Laplacian, Neo, Spectrum, eigensolve, eigensolve_many, laplacian
+from spectra_kit import Laplacian, Neo, Spectrum, eigensolve, eigensolve_many, laplacian_many
 from spectra_kit._core.threads import single_threaded, thread_count
 from spectra_kit._core.validate import check_count
 from spectra_kit.geometry import TriangleMesh, creature, sample
@@ -56,7 +57,7 @@ def measure(args: argparse.Namespace) -> None:
     rows: list[Record] = []
     stages: list[Record] = []
     for size in args.sizes:
-        operators = list(_operators(size, args.count))
+        operators = _operators(size, args.count, args.device)
         assembly = sum(operator.seconds for operator in operators) / len(operators)
 
         def single(operators: list[Laplacian] = operators) -> list[Spectrum]:
@@ -84,16 +85,14 @@ def measure(args: argparse.Namespace) -> None:
     write_report(args.out, "many", [], tables, machine)
 
 
-def _operators(size: int, count: int) -> Iterator[Laplacian]:
-    """Yield operators of connected clouds."""
-    found = 0
-    for i, mesh in enumerate(_meshes()):
-        operator = laplacian(sample(mesh, size, seed=i))
-        if operator.n_components == 1:
-            yield operator
-            found += 1
-        if found == count:
-            return
+def _operators(size: int, count: int, device: str) -> list[Laplacian]:
+    """Return operators of connected clouds."""
+    clouds = (sample(mesh, size, seed=i) for i, mesh in enumerate(_meshes()))
+    found = list[Laplacian]()
+    while len(found) < count and (some := list(islice(clouds, count - len(found)))):
+        made = laplacian_many(some, device=device)
+        found += [operator for operator in made if operator.n_components == 1]
+    return found
 
 
 def _meshes() -> Iterator[TriangleMesh]:
