@@ -15,7 +15,7 @@ from spectra_kit._core.threads import blas_threads_for
 from spectra_kit._core.validate import check_count, check_positive, quantity
 from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit._sparse.shift_invert import shifted_factor
-from spectra_kit._sparse.slicing import MOST, WIDE, sliced_eigenpairs, vectors_held
+from spectra_kit._sparse.slicing import MOST, WIDE, sliced_eigenpairs, vectors_for, vectors_held
 from spectra_kit.eigen.base import Eigenpairs, NotConvergedError, Promise
 from spectra_kit.eigen.dense import Dense
 from spectra_kit.errors import InvalidInputError
@@ -23,13 +23,13 @@ from spectra_kit.operators.laplacian import Laplacian
 
 # Lanczos needs a subspace well above k; below this multiple of it the dense solver is as fast.
 _DENSE_RATIO = 3
-# Modes from which on blocks are faster than one vector at a time. For 20 both cost the same, and
-# one vector finds room on any number of points.
-_MANY = 40
+# Modes times points from which on blocks are faster than one vector at a time: as fast for 40 modes
+# of 2,000 points and 96 of 850, by a third for 150 of 1,000.
+_WORTH = 80_000
+_MANY = 40  # modes from which on one vector finds them in a smaller space
 _SHIFT = 0.1  # of the spacing of eigenvalues, below the spectrum
-_FEWEST = 2 * MOST  # points on which blocks have room
-# At this tolerance so many points for each mode will do: a space of twice as many vectors as modes.
-_LOOSE, _ROOMY = 1e-4, 5
+_FEWEST = 2 * MOST  # points on which blocks have all the room that they can use
+_ROOMY = 2.5  # times as many points as vectors that find the modes: half of the points are theirs
 
 
 class _ShiftInvert:
@@ -244,7 +244,7 @@ class Lanczos(_ShiftInvert):
 
 def _has_room(n: int, k: int, tol: float) -> bool:
     """Return whether blocks have room on n points: the looser, the fewer vectors they take."""
-    return n >= _FEWEST or (tol >= _LOOSE and n >= _ROOMY * k)
+    return n >= min(_FEWEST, _ROOMY * vectors_for(k, tol))
 
 
 def _crowded(laplacian: Laplacian, k: int) -> Eigenpairs:
@@ -267,7 +267,7 @@ def _densely(laplacian: Laplacian, k: int, reason: str) -> Eigenpairs:
 
 def cheapest(n: int, k: int, *, tol: float = 0.0, seed: int = 0) -> Arpack | Lanczos:
     """Return what is quickest of both: one vector for few modes or points, else blocks."""
-    if k >= _MANY and _has_room(n, k, tol):
+    if n * k >= _WORTH and _has_room(n, k, tol):
         return Lanczos(tol=tol, seed=seed)
     return Arpack(tol=tol, seed=seed)
 
