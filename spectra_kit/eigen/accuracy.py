@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._core.threads import blas_threads_for
-from spectra_kit._core.types import Floats
+from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import quantity
 from spectra_kit._core.warn import warn
 from spectra_kit._sparse.memory import factor_gigabytes
@@ -161,48 +161,46 @@ def _absolute(certificate: Certificate, spectrum: Spectrum, laplacian: Laplacian
     verified = certificate.n_verified
     radius = count.radius if count else 0.0
     least = rounding(laplacian)
-    off = np.empty(k)
-    for (first, last), quotients, gram in _clusters(residuals, spectrum, laplacian):
-        theta = values[first:last]
-        apart = float(np.linalg.norm(gram - np.eye(last - first)))  # from orthonormal
-        size = (1 + apart) * float(np.linalg.norm(residuals[first:last]))
-        below = values[first] - values[first - 1] if first else np.inf
-        # What no count has told is taken to be no nearer than it is on average, here or in all.
-        room = min(laplacian.eigenvalue_spacing, (values[-1] - values[0]) / max(k - 1, 1))
-        floor = count.floor if count and verified else values[-1] + room
-        higher = values[last] if last < (verified or k) else floor
-        gap = min(below, higher - values[last - 1]) - radius - size
-        skew = float(np.linalg.norm(quotients - np.diag(theta)))
-        skew += (1 + apart) ** 2 * apart * float(theta[-1])
-        sure = np.arange(first, last) < verified
-        linear = np.where(sure, radius, residuals[first:last])
-        quadratic = skew + size**2 / gap if gap > 0 else np.inf
-        # Of a cluster that was counted in part, nothing quadratic is proved.
-        quadratics = np.where(sure & (last > verified), np.inf, quadratic)
-        off[first:last] = np.minimum(linear, quadratics) + least * sure
-    return off
+    alone = np.diff(values) > _CLUSTER * (residuals[1:] + residuals[:-1])
+    last = np.append(np.flatnonzero(alone) + 1, k)  # of each cluster, and one more
+    first = np.append(0, last[:-1])
+    skew, apart = _inexactness(first, last, spectrum, laplacian)
+    skew += (1 + apart) ** 2 * apart * values[-1]
+    size = (1 + apart) * np.sqrt(np.add.reduceat(residuals**2, first))
+    # What no count has told is taken to be no nearer than it is on average, here or in all.
+    room = min(laplacian.eigenvalue_spacing, (values[-1] - values[0]) / max(k - 1, 1))
+    floor = count.floor if count and verified else values[-1] + room
+    below = np.append(np.inf, values[first[1:]] - values[first[1:] - 1])
+    higher = np.where(last < (verified or k), values[np.minimum(last, k - 1)], floor)
+    gap = np.minimum(below, higher - values[last - 1]) - radius - size
+    quadratic = np.full(len(gap), np.inf)
+    np.divide(size**2, gap, out=quadratic, where=gap > 0)
+    cluster = np.repeat(np.arange(len(first)), last - first)
+    sure = np.arange(k) < verified
+    linear = np.where(sure, radius, residuals)
+    # Of a cluster that was counted in part, nothing quadratic is proved.
+    unproved = sure & (last[cluster] > verified)
+    quadratics = np.where(unproved, np.inf, (skew + quadratic)[cluster])
+    return np.asarray(np.minimum(linear, quadratics) + least * sure)
 
 
-def _clusters(
-    residuals: Floats, spectrum: Spectrum, laplacian: Laplacian
-) -> Iterator[tuple[tuple[int, int], Floats, Floats]]:
-    """Find first and last of modes that belong together, with their ``U^T L U`` and ``U^T M U``."""
-    U = spectrum.eigenvectors
-    apart = np.diff(spectrum.eigenvalues) > _CLUSTER * (residuals[1:] + residuals[:-1])
-    ends = [*(np.flatnonzero(apart) + 1).tolist(), spectrum.k]
-    first = start = 0
-    for i, end in enumerate(ends):
-        if end - start < _COLUMNS and i < len(ends) - 1:
-            continue
-        some = np.ascontiguousarray(U[:, start:end])
-        quotients = some.T @ spmm(laplacian.stiffness, some)
-        gram = some.T @ (laplacian.mass[:, None] * some)
-        inside = [e for e in ends if start < e <= end]
-        for last in inside:
-            block = slice(first - start, last - start)
-            yield (first, last), quotients[block, block], gram[block, block]
-            first = last
-        start = end
+def _inexactness(
+    first: Ints, last: Ints, spectrum: Spectrum, laplacian: Laplacian
+) -> tuple[Floats, Floats]:
+    """Return ``|U^T L U - diag(theta)|`` and ``|U^T M U - I|`` of each cluster."""
+    skew, apart = np.empty(len(first)), np.empty(len(first))
+    starts = np.append(np.flatnonzero(np.diff(first // _COLUMNS, prepend=-1)), len(first))
+    for begin, end in pairwise(starts.tolist()):  # clusters that are looked at together
+        columns = slice(first[begin], last[end - 1])
+        U = np.ascontiguousarray(spectrum.eigenvectors[:, columns])
+        off = U.T @ spmm(laplacian.stiffness, U) - np.diag(spectrum.eigenvalues[columns])
+        gram = U.T @ (laplacian.mass[:, None] * U) - np.eye(U.shape[1])
+        inside = np.repeat(np.arange(begin, end), last[begin:end] - first[begin:end])
+        within = inside[:, None] == inside
+        for error, sums in ((off, skew), (gram, apart)):
+            rows = np.where(within, error**2, 0.0).sum(axis=1)
+            sums[begin:end] = np.sqrt(np.add.reduceat(rows, first[begin:end] - first[begin]))
+    return skew, apart
 
 
 def rounding(laplacian: Laplacian) -> float:
