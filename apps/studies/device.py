@@ -34,6 +34,7 @@ from spectra_kit import (
 )
 from spectra_kit._core.threads import in_threads, thread_count
 from spectra_kit._sparse.batched_eigh import divide_and_conquer
+from spectra_kit._sparse.blocks import device_memory
 from spectra_kit._sparse.torch_device import check_device
 from spectra_kit.geometry import PointCloud, creature, sample
 from studies.machine import describe_machine
@@ -108,7 +109,8 @@ class _Measurements:
                 torch.cuda.synchronize(self.device)
             start = time.perf_counter()
             try:
-                found = call()
+                with device_memory():
+                    found = call()
             except MemoryError as error:
                 self.left_out.append(f"{what} ({error})")
                 return None
@@ -160,6 +162,8 @@ class _Measurements:
             cloud = _cloud(points, 1)
             made = self.timed("operator", partial(laplacian, cloud, device=self.device))
             if made is None:
+                return
+            if self.is_late(f"one cloud of {points}"):
                 return
             operator, assembly = made[0], made[1]["seconds"]
             exact = eigensolve(operator, _K, Arpack())

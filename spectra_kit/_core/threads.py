@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 import os
 import threading
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from contextvars import ContextVar
+from contextvars import ContextVar, copy_context
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
+Argument = TypeVar("Argument")
+Begun = TypeVar("Begun")
 Result = TypeVar("Result")
 
 #: Entries of a block, 8 MiB: one core passes over fewer in a millisecond.
@@ -132,16 +133,24 @@ def in_threads(task: Callable[..., Any], arguments: Iterable[tuple[Any, ...]]) -
             raise
 
 
-def one_ahead(task: Callable[..., Result], arguments: Iterable[Any]) -> Iterator[Result]:
-    """Yield what `task` returns for each of the `arguments`; it has begun with the next by then."""
+def ended_beside(
+    begin: Callable[[Argument], Begun],
+    end: Callable[[Begun], Result],
+    arguments: Iterable[Argument],
+) -> Iterator[Result]:
+    """Yield what `end` makes of what `begin` returns for each of the `arguments`, in their order.
+
+    Each ends in a thread beside while the next is begun in that of the caller.
+    """
     with ThreadPoolExecutor(1) as beside:
-        begun: deque[Future[Result]] = deque()
+        waiting: Future[Result] | None = None
         for argument in arguments:
-            begun.append(beside.submit(task, argument))
-            if len(begun) > 1:
-                yield begun.popleft().result()
-        while begun:
-            yield begun.popleft().result()
+            begun = begin(argument)
+            if waiting is not None:
+                yield waiting.result()
+            waiting = beside.submit(copy_context().run, end, begun)
+        if waiting is not None:
+            yield waiting.result()
 
 
 def _one_by_one(task: Callable[..., Any], calls: list[tuple[Any, ...]]) -> list[Any]:

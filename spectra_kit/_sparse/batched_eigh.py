@@ -29,8 +29,8 @@ _FAITHFUL = 16 * _EPS  # times the rows: what a decomposition may be off, for a 
 def eigh(A: Tensor, keep: int) -> tuple[Tensor, Tensor, Tensor]:
     """Return the lowest eigenvalues (b, keep), orthonormal vectors (b, n, keep), and what is right.
 
-    Of symmetric float64 matrices (b, n, n): by ``torch.linalg.eigh`` on the host, and where they
-    are few or small. Else a decomposition that is not faithful to its matrix is marked by False.
+    Of finite symmetric float64 matrices (b, n, n), n >= keep: by ``torch.linalg.eigh`` on the host,
+    and where they are few or small. Else what is not faithful to its matrix is marked by False.
     """
     b, n, _ = A.shape
     if _on_host(A) or n <= _LEAF or b < _FEW:
@@ -49,7 +49,7 @@ def _on_host(A: Tensor) -> bool:
 
 
 def divide_and_conquer(A: Tensor, keep: int) -> tuple[Tensor, Tensor]:
-    """Return the lowest eigenvalues and their vectors by the way above, whatever the device."""
+    """Return the same eigenvalues and vectors by the way above, whatever the device; n >= 2."""
     b, n, _ = A.shape
     size = _size(A)
     diagonal, beside, reflectors, halves = _tridiagonal(A / size.clamp(min=_NOTHING))

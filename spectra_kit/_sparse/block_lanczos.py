@@ -14,8 +14,6 @@ _POINTS = 8_192  # of one task: fixed, so that no sum depends on the threads
 _ROUNDED = 1e-15  # what is left of other vectors in one that was orthogonalised against them
 _NOTHING = 1e-10  # of the norm of the operator: a new block is no larger
 _SEMI = 1e-12  # the same, at most: residuals of Ritz pairs are no smaller than that
-# The same: so much that orthogonalising once is enough, where of each row this share is left.
-_LOOSE, _LEFT = 1e-8, 1e-3
 
 
 class KrylovPairs(NamedTuple):
@@ -34,8 +32,7 @@ class BlockLanczos:
 
     The `operator` takes columns of shape (n, block) to the same. Eigenvalues of up to `block`
     copies are found with all of them. `most` vectors are allocated at once: whole steps, and one
-    block less than n. They may overlap by `semi`, if that is more than rounding: what is found then
-    is off by its square (Simon, *The Lanczos algorithm with partial reorthogonalization*, 1984).
+    block less than n.
 
     Golub and Underwood, *The block Lanczos method for computing eigenvalues*, 1977. In exact
     arithmetic a block is orthogonal to all but the two before it. What rounding leaves of the
@@ -47,17 +44,9 @@ class BlockLanczos:
     """
 
     def __init__(
-        self,
-        operator: Callable[[Floats], Floats],
-        n: int,
-        *,
-        block: int,
-        most: int,
-        seed: int,
-        semi: float = 0.0,
+        self, operator: Callable[[Floats], Floats], n: int, *, block: int, most: int, seed: int
     ) -> None:
-        self._operator, self._block, self._semi = operator, block, max(semi, _SEMI)
-        self._twice = self._semi < _LOOSE
+        self._operator, self._block = operator, block
         self.size = 0  # vectors whose images are known; one more block is there
         self._basis = np.empty((most + block, n))
         self._projected = np.zeros((most + block, most + block))
@@ -76,15 +65,14 @@ class BlockLanczos:
         inside = self._take_out(following, before, end)[:, -block:]
         self._projected[last, last] = (inside + inside.T) / 2
         self._norm = max(self._norm, float(np.linalg.norm(inside)))
-        if self._loss * self._norm > self._semi * self._new:
+        if self._loss * self._norm > _SEMI * self._new:
             self._take_out(slice(self.size, end + block), 0, self.size)
             self._loss = _ROUNDED
         else:
             self._loss *= self._norm / self._new
-        if self._twice:
-            self._take_out(following, before, end)
+        self._take_out(following, before, end)
         try:
-            Q, R = _orthonormal(W, twice=self._twice)
+            Q, R = _orthonormal(W)
         except np.linalg.LinAlgError:
             Q, R = W, np.zeros((block, block))
         sizes = np.linalg.svd(R, compute_uv=False)
@@ -141,14 +129,12 @@ def combined(coefficients: Floats, A: Floats) -> Floats:
     return out
 
 
-def _orthonormal(W: Floats, *, twice: bool = True) -> tuple[Floats, Floats]:
+def _orthonormal(W: Floats) -> tuple[Floats, Floats]:
     """Return orthonormal rows Q and R with ``W = R^T Q``, by Cholesky factors of Gram matrices."""
     size = np.linalg.norm(W, axis=1)
     if not (size > 0).all():
         raise np.linalg.LinAlgError("a row is zero, or not a number")
     first = np.linalg.cholesky(inner(W, W) / size / size[:, None])
     Q = combined(np.linalg.inv(first) / size, W)
-    if not twice and first.diagonal().min() > _LEFT:
-        return Q, first.T * size
     second = np.linalg.cholesky(inner(Q, Q))
     return combined(np.linalg.inv(second), Q), second.T @ (first.T * size)

@@ -19,7 +19,8 @@ class Pencil:
         pattern = symmetric(stiffness)
         self._diagonal = _diagonal_of(pattern)
         if len(self._diagonal) < n:
-            pattern = symmetric(sparse.csr_array(stiffness + sparse.diags_array(mass)))
+            lift = 1 + np.abs(stiffness.diagonal() / mass).max()  # no entry becomes zero
+            pattern = symmetric(sparse.csr_array(stiffness + lift * sparse.diags_array(mass)))
             self._diagonal = _diagonal_of(pattern)
         self._entries, self._mass = pattern.data.copy(), mass
         self._entries[self._diagonal] = stiffness.diagonal()

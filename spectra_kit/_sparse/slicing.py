@@ -39,7 +39,6 @@ _DENSITY = 100  # modes whose distance tells where the next are
 _ROUNDING = 1e-12  # residuals of the inverse, relative to its eigenvalues
 _LOOSEST = 1e-3  # the same: its square is the error of an eigenvalue
 _SHARED = 1e-6  # the same: its square, of what runs share, is rounding
-_SEMI = 1e-3  # of the tolerance: vectors of a space may overlap by that
 _BORDER = 1e-7  # of the distance of two shifts: a narrower gap may be one within a cluster
 _ACCURATE = 1e-10  # backward error of a solution, entry by entry
 # Times as many modes below a shift as expected are too many for one run. With a guess of 2, which
@@ -183,9 +182,7 @@ class _Run:
         self._factor, self._sigma, self._tol, self._block = factor, sigma, tol, block
         self._loose = tol > _SHARED
         self._most = min(_STEPS, factor.n // (2 * block)) * block
-        self._krylov = BlockLanczos(
-            factor.solve, factor.n, block=block, most=self._most, seed=seed, semi=_SEMI * tol
-        )
+        self._krylov = BlockLanczos(factor.solve, factor.n, block=block, most=self._most, seed=seed)
 
     def until(self, known: Floats, number: int, last: float, above: int) -> int | None:
         """Go on until `above` modes have converged above the shift, and all below it.

@@ -29,7 +29,8 @@ _WORTH = 80_000
 _MANY = 40  # modes from which on one vector finds them in a smaller space
 _SHIFT = 0.1  # of the spacing of eigenvalues, below the spectrum
 _FEWEST = 2 * MOST  # points on which blocks have all the room that they can use
-_ROOMY = 2.5  # times as many points as vectors that find the modes: half of the points are theirs
+_LEAST, _ROOMY = 500, 2.5  # fewer will do, and so many times as many as vectors find the modes
+_LOOSEST = 1e-6  # its square, of what is shared by what is found around two shifts, is rounding
 
 
 class _ShiftInvert:
@@ -160,8 +161,9 @@ class Lanczos(_ShiftInvert):
     Parameters
     ----------
     tol : float, default 0.0
-        Of residuals, relative to the eigenvalues of the shift-inverted operators, whose errors are
-        about its square; 0 is machine precision. 1e-3 at most, whatever is asked for.
+        Relative accuracy of the eigenvalues of the shift-inverted operators; 0 is machine
+        precision. 1e-6 at most, whatever is asked for: with looser residuals, what is found around
+        one shift would not be orthogonal to what is found around the next.
     seed : int, default 0
         Of the start vectors: same input, same output.
     max_shifts : int, default 1000
@@ -209,7 +211,7 @@ class Lanczos(_ShiftInvert):
         """See `Eigensolver.eigenpairs`."""
         if _DENSE_RATIO * k >= laplacian.n:
             return _crowded(laplacian, k)
-        if not _has_room(laplacian.n, k, self.tol):
+        if not _has_room(laplacian.n, k):
             return _densely(laplacian, k, f"{laplacian.n} points are few")
         solved = partial(
             sliced_eigenpairs,
@@ -218,7 +220,7 @@ class Lanczos(_ShiftInvert):
             k,
             below=-_SHIFT * laplacian.eigenvalue_spacing,
             spacing=laplacian.eigenvalue_spacing,
-            tol=self.tol,
+            tol=min(self.tol, _LOOSEST),
             most_shifts=self.max_shifts,
             seed=self.seed,
         )
@@ -236,15 +238,17 @@ class Lanczos(_ShiftInvert):
         )
         if found.shifts < self.max_shifts:
             told += "; more equal eigenvalues than it has room for do this"
+            if laplacian.n < _FEWEST:
+                return _densely(laplacian, k, told)
             raise NotConvergedError(told, pairs, advice="use {}", remedies=("Dense",))
         raise NotConvergedError(
             told, pairs, advice=("raise {}", "use {}"), remedies=("max_shifts", "Refined")
         )
 
 
-def _has_room(n: int, k: int, tol: float) -> bool:
-    """Return whether blocks have room on n points: the looser, the fewer vectors they take."""
-    return n >= min(_FEWEST, _ROOMY * vectors_for(k, tol))
+def _has_room(n: int, k: int) -> bool:
+    """Return whether blocks have room on n points."""
+    return n >= min(_FEWEST, max(_LEAST, _ROOMY * vectors_for(k, 0.0)))
 
 
 def _crowded(laplacian: Laplacian, k: int) -> Eigenpairs:
@@ -267,7 +271,7 @@ def _densely(laplacian: Laplacian, k: int, reason: str) -> Eigenpairs:
 
 def cheapest(n: int, k: int, *, tol: float = 0.0, seed: int = 0) -> Arpack | Lanczos:
     """Return what is quickest of both: one vector for few modes or points, else blocks."""
-    if n * k >= _WORTH and _has_room(n, k, tol):
+    if n * k >= _WORTH and _has_room(n, k):
         return Lanczos(tol=tol, seed=seed)
     return Arpack(tol=tol, seed=seed)
 

@@ -6,6 +6,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, ClassVar, Literal
@@ -133,7 +134,7 @@ class Neo(Rebuilt):
             return self._alone(laplacian, k)
         try:
             (found,) = self.begin([laplacian], k)
-        except MemoryError:  # rows in blocks, and levels, take less
+        except MemoryError:  # rows in blocks take less
             return self._alone(laplacian, k)
         return found()
 
@@ -157,7 +158,8 @@ class Neo(Rebuilt):
         ]
         clouds = [laplacians[i].points for i in whole], [laplacians[i].mass for i in whole]
         if str(self.device) != "cpu":
-            if whole and self.subspace._pads(clouds[0]):
+            # More modes than functions are refused one by one.
+            if whole and k <= self.subspace.n_functions and self.subspace._pads(clouds[0]):
                 for i, left in self._together(laplacians, whole, clouds, k):
                     rest[i] = left
             return rest
@@ -177,23 +179,27 @@ class Neo(Rebuilt):
         k: int,
     ) -> Iterator[tuple[int, Callable[[], Eigenpairs]]]:
         """Yield what is left to do for those of the `whole` operators that one batch has solved."""
+        from torch.linalg import LinAlgError  # type: ignore[attr-defined]
+
         from spectra_kit.eigen.multigrid.batched import predicted_and_smoothed
 
+        found: list[Smoothed | None] = [None] * len(whole)
         clock, keep = device_clock(self.device), block_size(k, self._cascade.guard / 2)
         some = [laplacians[i] for i in whole]
         with device_memory():
             basis = self.subspace._padded(*clouds)
             clock.stage("subspace")
-            found = predicted_and_smoothed(
-                some,
-                basis,
-                k,
-                keep=keep,
-                target=self.target,
-                max_steps=self.max_steps,
-                rank_tol=self.rank_tol,
-                clock=clock,
-            )
+            with suppress(LinAlgError):  # of which LAPACK does not say whose matrix it is
+                found = predicted_and_smoothed(
+                    some,
+                    basis,
+                    k,
+                    keep=keep,
+                    target=self.target,
+                    max_steps=self.max_steps,
+                    rank_tol=self.rank_tol,
+                    clock=clock,
+                )
         share = {stage: seconds / len(whole) for stage, seconds in clock.seconds.items()}
         for i, laplacian, own in zip(whole, some, found, strict=True):
             if own is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import chain
 from typing import Annotated, Any, cast
 
@@ -11,7 +12,7 @@ from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.many import about, of_similar_size
-from spectra_kit._core.threads import in_threads, one_ahead, single_threaded
+from spectra_kit._core.threads import ended_beside, in_threads, single_threaded
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count
 from spectra_kit.eigen.accuracy import warn_of_doubts
@@ -24,8 +25,8 @@ from spectra_kit.geometry import Geometry
 from spectra_kit.operators import laplacian as assemble
 from spectra_kit.operators.laplacian import Laplacian
 
-# Of a pass on a device, where 500,000 points took 6 GB: twice as much is left free.
-_MOST_POINTS, _BYTES_PER_POINT = 2**18, 25_000
+_MOST_POINTS = 2**18  # of a pass on a device
+_BYTES = 200  # there, for each point and function: half as many were taken by clouds of 600 points
 
 
 @checked
@@ -240,7 +241,7 @@ def eigensolve_many(
     if hasattr(solver, "begin"):
         groups = _groups(laplacians, batch)
         if is_on_device(solver):  # which goes on while the host certifies
-            found = [in_threads(alone, rest) for rest in one_ahead(begun, groups)]
+            found = list(ended_beside(begun, partial(in_threads, alone), groups))
         else:
             found = in_threads(in_one_thread, groups)
         solved = dict(chain.from_iterable(found))
@@ -269,7 +270,9 @@ def points_of_a_pass(solver: Eigensolver) -> int:
     import torch
 
     free, _ = torch.cuda.mem_get_info(device)
-    return min(_MOST_POINTS, max(4096, free // _BYTES_PER_POINT))
+    free += torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+    functions = getattr(getattr(solver, "subspace", None), "n_functions", 1000)
+    return min(_MOST_POINTS, max(4096, free // (_BYTES * functions)))
 
 
 def _groups(laplacians: Sequence[Laplacian], batch: int) -> list[tuple[int, ...]]:

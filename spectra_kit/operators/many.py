@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Literal
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
 from spectra_kit._core.many import about, of_similar_size
-from spectra_kit._core.threads import in_threads, one_ahead, single_threaded
+from spectra_kit._core.threads import ended_beside, in_threads, single_threaded
 from spectra_kit._core.warn import hearing, tell
 from spectra_kit.errors import SpectraKitWarning
 from spectra_kit.geometry.shapes import Geometry, PointCloud
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
     from spectra_kit.operators._cover import OrderedCloud
     from spectra_kit.operators.local_delaunay import FirstStars
 
+    Begun = tuple[int, OrderedCloud, FirstStars, float]
+
+Built = tuple[int, Laplacian, list[SpectraKitWarning]]
 _TOGETHER = 65_536  # points of a group, padded: a device idles while it has few
 _NEIGHBORS = 30  # as `laplacian` has it
 
@@ -80,15 +84,15 @@ def laplacian_many(
     clouds = {i: one for i, one in enumerate(geometries) if isinstance(one, PointCloud)}
     clouds = clouds if on_device else {}
 
-    def one(i: int, *begun: Any) -> tuple[int, Laplacian, list[SpectraKitWarning]]:
+    def one(i: int, *begun: Any) -> Built:
         with about(_name(i)), single_threaded(), hearing() as heard:
             if begun:
                 return i, cloud_triangulation(*begun).laplacian, heard
             return i, laplacian(geometries[i], operator=operator, boundary=boundary), heard
 
     built = in_threads(one, [(i,) for i in range(len(geometries)) if i not in clouds])
-    for begun in _begun(clouds, device):
-        built += in_threads(one, begun)
+    for some in _built(clouds, device, partial(in_threads, one)):
+        built += some
     built.sort(key=itemgetter(0))
     for i, _, heard in built:
         for told in heard:
@@ -97,10 +101,13 @@ def laplacian_many(
     return [made for _, made, _ in built]
 
 
-def _begun(
-    clouds: dict[int, PointCloud], device: str
-) -> Iterator[list[tuple[int, OrderedCloud, FirstStars, float]]]:
-    """Yield clouds that go together: their points, first stars, and the seconds that these took."""
+def _built(
+    clouds: dict[int, PointCloud], device: str, end: Callable[[list[Begun]], list[Built]]
+) -> Iterator[list[Built]]:
+    """Yield what is made in the `end` of clouds that go together.
+
+    Of their points, first stars, and the seconds that these took.
+    """
     if not clouds:
         return
     from spectra_kit.operators._cover import ordered_cloud
@@ -113,7 +120,7 @@ def _begun(
 
     there = in_threads(ordered, clouds.items())
 
-    def together(group: tuple[int, ...]) -> list[tuple[int, OrderedCloud, FirstStars, float]]:
+    def together(group: tuple[int, ...]) -> list[Begun]:
         clock, members = Clock(), [there[j] for j in group]
         points = [own.points for _, own, _ in members]
         found = first_stars(points, members[0][1].n_neighbors, device)
@@ -123,7 +130,7 @@ def _begun(
 
     few = {j for j, (_, own, _) in enumerate(there) if own.n_neighbors < _NEIGHBORS}
     groups = of_similar_size([one.n for one in clouds.values()], _TOGETHER, few)
-    yield from one_ahead(together, groups)
+    yield from ended_beside(together, end, groups)
 
 
 def _name(i: int) -> str:

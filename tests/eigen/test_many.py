@@ -319,6 +319,44 @@ def test_a_single_cloud_on_a_device_is_a_batch_of_one():
     assert "coarsen" not in found.provenance.seconds  # another order of the points gains nothing
 
 
+@pytest.mark.parametrize("k", [220, 258])
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
+def test_as_many_modes_as_functions(monkeypatch, k):
+    """Guards are what is left of them; more modes than functions are refused as on the host."""
+    monkeypatch.setattr(batched_eigh, "_on_host", lambda A: False)
+    monkeypatch.setattr(batched_eigh, "_FEW", 2)
+    neo = Neo(device="cpu:0", max_steps=1)
+    if k > neo.subspace.n_functions:
+        with pytest.raises(InvalidInputError, match="must span at least k"):
+            eigensolve_many(bodies()[:2], k, neo)
+        return
+    for i, found in enumerate(eigensolve_many(bodies()[:2], k, neo)):
+        single = eigensolve(bodies()[i], k, Neo(max_steps=1))
+        np.testing.assert_allclose(found.eigenvalues[1:], single.eigenvalues[1:], rtol=1e-3)
+
+
+def test_an_eigenproblem_that_is_not_solved_right_is_left_to_others(monkeypatch):
+    whole = batched.eigh
+
+    def one_wrong(A, keep):
+        values, vectors, right = whole(A, keep)
+        return values, vectors, right & (torch.arange(len(A)) != (1 if len(A) == 3 else -1))
+
+    monkeypatch.setattr(batched, "eigh", one_wrong)
+    shapes, neo = bodies()[:3], Neo(device="cpu:0")
+    basis = neo.subspace._padded([s.points for s in shapes], [s.mass for s in shapes])
+    options = {"keep": 40, "target": 1e-3, "max_steps": 5, "clock": Clock()}
+    assert [x is None for x in predicted_and_smoothed(shapes, basis, K, **options)] == [
+        *(False, True, False)
+    ]
+
+    def never(A, keep):
+        raise torch.linalg.LinAlgError
+
+    monkeypatch.setattr(batched, "eigh", never)
+    assert_same(eigensolve(bodies()[2], K, neo), alone(2))
+
+
 @pytest.mark.parametrize("most", [0, 1])
 def test_what_does_not_fit_into_a_devices_memory_is_solved_with_less(monkeypatch, most):
     """Where two do not fit, one by one; where one does not, row by row."""

@@ -34,3 +34,6 @@ def test_what_has_no_diagonal_entries_gets_them():
     pencil = Pencil(swap, np.ones(2))
     assert pencil.factor(0.0) is None  # a pivot is zero
     assert [pencil.factor(sigma).inertia.negative for sigma in (-2.0, 0.5, 2.0)] == [0, 1, 2]
+    some = sparse.csr_array(([-1.0, 1.0, 1.0], ([0, 0, 1], [0, 1, 0])), (2, 2))
+    found = [Pencil(some, np.ones(2)).factor(s).inertia.negative for s in (-2.0, -1.0 + 1e-9, 2.0)]
+    assert found == [0, 1, 2]

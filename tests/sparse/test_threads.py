@@ -14,9 +14,11 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from spectra_kit._core.threads import (
     _quota,
+    alone,
     blas_threads_for,
+    ended_beside,
     in_threads,
-    one_ahead,
+    single_threaded,
     single_threaded_blas,
 )
 
@@ -164,22 +166,30 @@ def test_the_cores_of_a_group_are_counted(tmp_path, group, files, cores):
     assert _quota(tmp_path, own) == cores
 
 
-def test_one_is_begun_ahead_and_no_more():
-    begun, seen = [], []
+def test_each_ends_beside_the_next_that_begins_here():
+    begun, ended, met = [], [], threading.Barrier(2, timeout=10)
 
-    def task(i):
-        begun.append(i)
+    def begin(i):
+        begun.append((i, threading.get_ident()))
+        if i:
+            met.wait()  # until the one before is at its end
         return i * i
 
-    for square in one_ahead(task, range(5)):
-        seen.append(square)
-        assert len(begun) <= len(seen) + 1
-    assert seen == [0, 1, 4, 9, 16]
-    assert list(one_ahead(task, [])) == []
+    def end(square):
+        ended.append((alone(), threading.get_ident()))
+        if square < 9:
+            met.wait()  # until the next has begun
+        return square + 1
+
+    with single_threaded():
+        assert list(ended_beside(begin, end, range(4))) == [1, 2, 5, 10]
+    assert begun == [(i, threading.get_ident()) for i in range(4)]
+    assert all(there != threading.get_ident() and kept for kept, there in ended)
+    assert list(ended_beside(begin, end, [])) == []
 
 
-def test_what_fails_ahead_is_told_in_its_turn():
-    whole = one_ahead(lambda i: 1 // (2 - i), range(4))
+def test_what_fails_beside_is_told_in_its_turn():
+    whole = ended_beside(int, lambda i: 1 // (2 - i), range(4))
     assert [next(whole), next(whole)] == [0, 1]
     with pytest.raises(ZeroDivisionError):
         next(whole)

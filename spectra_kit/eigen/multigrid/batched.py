@@ -103,9 +103,11 @@ class Batch(NamedTuple):
         eye = torch.eye(Y.shape[-1], dtype=Y.dtype, device=Y.device)
         factor, failed = torch.linalg.cholesky_ex(gram / scale[:, None] / scale[..., None])
         root = torch.linalg.solve_triangular(factor, eye, upper=False).mT  # W^T G W is one
+        keep = min(keep, Y.shape[-1])
         fit = (failed == 0) & (root.square().sum((1, 2)) < 1 / lowest)
         whitener = torch.where(fit[:, None, None], root / scale[..., None], eye)
         inside = whitener.mT @ (Y.mT @ self.product(Y)) @ whitener
+        fit &= inside.isfinite().all(2).all(1)
         inside = torch.where(fit[:, None, None], (inside + inside.mT) / 2, eye)
         values, rotation, right = eigh(inside, keep)
         U = Y @ (whitener @ rotation)
