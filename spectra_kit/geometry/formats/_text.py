@@ -131,7 +131,7 @@ def _parsed(text: bytes, dtype: type[np.generic]) -> NDArray[Any] | None:
 class Lines:
     """Where words stand in those lines of a text that are not blank."""
 
-    characters: NDArray[np.uint8]  # of the text, with line feeds behind
+    characters: NDArray[np.uint8]  # of the text
     words: Ints  # where each word begins, and where the text ends
     first: Ints  # which word is the first of each line
     stop: Ints  # where each line ends
@@ -142,11 +142,11 @@ class Lines:
         """Find them all at once; None where a character is none of plain text."""
         if text.translate(None, _PLAIN):
             return None
-        characters = np.frombuffer(text + b"\n" * 16, dtype=np.uint8)
+        characters = np.frombuffer(text, dtype=np.uint8)
         is_word = characters > ord(" ")
         is_word[1:] &= ~is_word[:-1]
         words = np.flatnonzero(is_word)
-        stop = np.flatnonzero(characters[: len(text) + 1] == ord("\n"))
+        stop = np.append(np.flatnonzero(characters == ord("\n")), len(text))
         upto = np.searchsorted(words, stop)
         widths = np.diff(upto, prepend=0)
         some = widths > 0
@@ -158,11 +158,13 @@ class Lines:
 
     def character(self, place: int) -> NDArray[np.uint8]:
         """Return that character of each line, counted from its first word; a line feed behind."""
-        return self.characters[np.minimum(self.words[self.first] + place, self.stop)]
+        at = self.words[self.first] + place
+        return np.where(at < self.stop, self.characters[np.minimum(at, self.stop - 1)], ord("\n"))
 
     def text(self, which: Any, start: Any = 0, stop: Any = None) -> bytes:
         """Return the words from `start` to before `stop`, or to the end, of the lines `which`."""
-        first, widths, end = self.first[which], self.widths[which], self.stop[which] + 1
+        first, widths = self.first[which], self.widths[which]
+        end = np.minimum(self.stop[which] + 1, len(self.characters))
         if not len(first):
             return b""
         begin, upto = (
@@ -183,7 +185,10 @@ class Lines:
         return None if found is None else found.reshape(-1, 3)
 
     def are(self, words: Ints, word: bytes) -> bool:
-        """Whether these are all that word of lower case and up to 8 letters, in any case."""
+        """Whether these are all that word of lower case and up to 8 letters, in any case.
+
+        Eight line feeds must end the text.
+        """
         eights = np.ndarray(len(self.characters) - 8, "<u8", self.characters, strides=(1,))
         begin = self.words[words]
         letters = (eights[begin] | _LOWER) & np.uint64(2 ** (8 * len(word)) - 1)

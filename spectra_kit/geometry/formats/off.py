@@ -52,7 +52,8 @@ def read(path: Path) -> Arrays:
     if start := re.match(rb"\s*(ST)?(C)?(N)?(4)?OFF[ \t]+BINARY[^\n]*\n", data):
         widths = (3 + (start[4] is not None), 3 * (start[3] is not None))
         return _binary(data[start.end() :], *widths, 4 * bool(start[2]) + 2 * bool(start[1]))
-    text = without_comments(text_of(data))
+    data = text_of(data)
+    text = without_comments(data)
     header = _header([words for _, words in islice(words_of(text), 3)])
     found = at_once(text, header)
     return line_by_line(text, header) if found is None else found

@@ -79,7 +79,7 @@ def _binary_corners(data: bytes) -> Floats:
 
 def at_once(text: bytes) -> Floats | None:
     """Return the corners of a text of which all is as usual, a facet on seven lines; or None."""
-    lines = Lines.of(text)
+    lines = Lines.of(text + b"\n" * 16)
     if lines is None:
         return None
     begin, fourth = lines.character(0) | 32, lines.character(3) | 32
