@@ -150,7 +150,8 @@ class Lines:
         upto = np.searchsorted(words, stop)
         widths = np.diff(upto, prepend=0)
         some = widths > 0
-        words = np.append(words, len(text))
+        small = np.int32 if len(text) < 2**30 else np.int64  # half the room
+        words = np.append(words, len(text)).astype(small)
         return Lines(characters, words, (upto - widths)[some], stop[some], widths[some])
 
     def __len__(self) -> int:
