@@ -74,6 +74,7 @@ def test_what_is_damaged_below_can_be_read(tmp_path, kind):
         ("xyz", "0 0 0", "H 0 0", "line 1 is broken"),
         ("xyz", EVERYTHING, "1,5 2,5 3,5\n", "line 1 is broken: .* with decimal points"),
         ("xyz", "1 0 0", "1,5 2 3", "line 2 is broken: .*float: '1,5'"),
+        ("xyz", EVERYTHING, "1 2 3 a,b\n4 5 6 a,b\n", "line 1 is broken: .*2 columns where"),
         ("xyz", EVERYTHING, "1,2,3\n1_0,2,3\n", "line 2 is broken: .*'1_0' is no number"),
         ("stl", FACET, "", "holds no triangle"),
         ("stl", EVERYTHING, "not an stl", "the file may be cut short or no STL"),

@@ -5,36 +5,56 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from conftest import data_folder
 
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.geometry import TriangleMesh, read, sphere, without_nan, write
-from spectra_kit.geometry.formats import obj, off
-from spectra_kit.geometry.formats._text import text_of, words_of
+from spectra_kit.geometry.formats import obj, off, stl, xyz
+from spectra_kit.geometry.formats._text import numbers, text_of, words_of
 
 BALL = sphere(subdivisions=1).geometry
 MESH = TriangleMesh(BALL.points * np.pi + 1 / 7, BALL.faces)
+KINDS = (".obj", ".off", ".stl", ".xyz")
 
 
-def written(tmp_path, suffix):
-    write(MESH, tmp_path / f"a{suffix}")
+def written(tmp_path, suffix, mesh=MESH):
+    if suffix == ".stl":
+        return solid(mesh.points[mesh.faces])
+    write(mesh.as_cloud() if suffix == ".xyz" else mesh, tmp_path / f"a{suffix}")
     return (tmp_path / f"a{suffix}").read_bytes()
 
 
+def solid(facets, start="facet normal 0 nan 1\n  outer loop", end="endloop\nendfacet"):
+    """Text of STL, of which others write the binary form too."""
+    corners = (
+        "".join(f"vertex {x!r} {y!r} {z!r}\n" for x, y, z in facet) for facet in facets.tolist()
+    )
+    return "solid a\n{}endsolid\n".format("".join(f"{start}\n{c}{end}\n" for c in corners)).encode()
+
+
 def ways(kind, text):
+    """What is read at once, or None, and what reads it line by line: points, corners, sizes."""
     text = text_of(text)
     if kind == ".obj":
         return obj.at_once(text), lambda: obj.line_by_line(text)
-    head = off._header([words for _, words in words_of(text)][:3])
-    return off.at_once(text, head), lambda: off.line_by_line(text, head)
+    if kind == ".off":
+        head = off._header([words for _, words in words_of(text)][:3])
+        return off.at_once(text, head), lambda: off.line_by_line(text, head)
+    at_once = xyz.at_once(text) if kind == ".xyz" else stl.at_once(text)
+    found = None if at_once is None else (at_once, ())
+    if kind == ".xyz":
+        return found, lambda: (xyz.line_by_line(text), ())
+    return found, lambda: (stl.word_by_word(text)[0], ())
 
 
 def assert_same(one, other):
-    np.testing.assert_array_equal(one[0], other[0])
+    """Equal to the last bit."""
+    assert np.asarray(one[0], float).tobytes() == np.asarray(other[0], float).tobytes()
     for ours, theirs in zip(one[1], other[1], strict=True):
         np.testing.assert_array_equal(ours, theirs)
 
 
-@pytest.mark.parametrize("kind", [".obj", ".off"])
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.filterwarnings("ignore")
 def test_what_is_read_at_once_is_what_the_lines_say(tmp_path, kind):
     """Of the file, and of it with one character more, less or another."""
@@ -42,7 +62,7 @@ def test_what_is_read_at_once_is_what_the_lines_say(tmp_path, kind):
     at_once, by_line = ways(kind, data)
     assert_same(at_once, by_line())
     rng = np.random.default_rng(0)
-    marks = b"0123456789 \n.-+e/vf#x\\\t"
+    marks = b"0123456789 \n.-+e/vf#x\\\t,;S"
     n = 0
     for _ in range(300):
         at = int(rng.integers(len(data)))
@@ -56,6 +76,89 @@ def test_what_is_read_at_once_is_what_the_lines_say(tmp_path, kind):
             n += 1
             assert_same(at_once, by_line())
     assert n > 100
+
+
+def random_points(rng, n):
+    """Decimal numbers of any kind that programs write, and some that none does."""
+    words = []
+    for _ in range(3 * n):
+        digits = "".join(map(str, rng.integers(10, size=rng.integers(1, 20))))
+        at = int(rng.integers(len(digits) + 1))
+        exponent = rng.choice(["", f"e{rng.integers(-340, 309)}", f"E+{rng.integers(40):02}"])
+        point = rng.choice([digits, f"{digits[:at]}.{digits[at:]}"])
+        words.append(f"{rng.choice(['', '-', '+'])}{point}{exponent}")
+    return words
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_numbers_are_those_of_float():
+    rng = np.random.default_rng(0)
+    integers = [str(2**62 - 1), str(2**53 + 1), "0", "-0", "007", str(10**17 + 1), str(2**64)]
+    for count in range(1, 200, 8):
+        words = random_points(rng, count) + (rng.choice(integers, count % 9).tolist())
+        text = "\n".join(words).encode()
+        expected = np.array([float(word) for word in words])
+        assert numbers(text, np.float64, len(words)).tobytes() == expected.tobytes()
+
+
+def rows(rng, n, behind=""):
+    words = random_points(rng, n)
+    return [" ".join(words[3 * i : 3 * i + 3]) + behind for i in range(n)]
+
+
+def polygons(rng, n, sizes):
+    return [rng.integers(1, n + 1, size=int(rng.choice(sizes))).tolist() for _ in range(2 * n)]
+
+
+def generated(kind, rng):
+    """A file as programs write them, whose lines are noise."""
+    n = int(rng.integers(4, 30))
+    sizes = [[3], [4], [3, 4], [3, 12]][rng.integers(4)]
+    faces = polygons(rng, n, sizes)
+    gap = rng.choice([" ", "  ", "\t", " \t"])
+    if kind == ".xyz":
+        lines = rows(rng, n, rng.choice(["", " 1 2 3", " a", " nan 0.5"]))
+    elif kind == ".off":
+        colour = ["", " 7", " 255 0 0", " 0.5 1 1e-1 .25"][rng.integers(4)]
+        lines = ["OFF", f"{n} {len(faces)} 0", *rows(rng, n, rng.choice(["", " 255 0 x", " 1"]))]
+        lines += [" ".join(map(str, [len(p), *(c - 1 for c in p)])) + colour for p in faces]
+    elif kind == ".stl":
+        head, end = "facet normal 0 -nan(ind) 1\nouter loop", "endloop\nendfacet"
+        parts = ["vertex " + row for row in rows(rng, 3 * n)]
+        loops = ["\n".join([head, *parts[3 * i : 3 * i + 3], end]) for i in range(n)]
+        half = n // 2
+        lines = ["solid a", *loops[:half], "endsolid a", "solid", *loops[half:], "endsolid"]
+    else:
+        corner = rng.choice(["{0}", "{0}/{0}", "{0}/{0}/{0}", "{0}//{0}", "{1}", "{1}/{1}", "{0}/"])
+        lines = ["v " + r for r in rows(rng, n, rng.choice(["", " 1.0", " 0.5 1 .25"]))]
+        lines += ["# a comment", "g of / faces", "vt 0 0", "vn nan 0 1"]
+        lines += ["f " + " ".join(corner.format(c, c - n - 1) for c in p) for p in faces]
+        if rng.random() < 0.5:
+            lines.insert(int(rng.integers(len(lines))), lines[0])
+    text = "\n".join(gap * bool(rng.integers(2)) + line.replace(" ", gap) for line in lines)
+    text = text.upper() if kind == ".stl" and rng.random() < 0.3 else text
+    return (text + "\n").replace("\n", rng.choice(["\n", "\r\n", "\r", " \n\n"])).encode()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.filterwarnings("ignore")
+def test_files_of_noise_are_read_at_once_and_as_the_lines_say(kind):
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        at_once, by_line = ways(kind, generated(kind, rng))
+        assert at_once is not None
+        assert_same(at_once, by_line())
+
+
+@pytest.mark.data
+@pytest.mark.skipif(data_folder() is None, reason="set SPECTRA_KIT_DATA to the real shapes")
+@pytest.mark.parametrize("kind", KINDS)
+def test_real_shapes_are_read_at_once_and_as_the_lines_say(tmp_path, kind):
+    for name in ("faust_r", "smal_r", "scape_a"):
+        mesh = read(min((data_folder() / name).glob("*.npz")), kind="mesh")
+        at_once, by_line = ways(kind, written(tmp_path, kind, mesh))
+        assert at_once is not None
+        assert_same(at_once, by_line())
 
 
 @pytest.mark.parametrize(

@@ -51,27 +51,35 @@ def at_once(text: bytes) -> Arrays | None:
     is_v, is_f = ((begin == ord(letter)) & (second <= ord(" ")) for letter in "vf")
     is_skipped = (begin == ord("v")) & np.isin(second, list(b"tn")) & (third <= ord(" "))
     rest = np.flatnonzero(~(is_v | is_f | is_skipped))
-    words = {text[i : i + 12].split()[0].decode() for i in lines.first[rest].tolist()}
+    at = lines.words[lines.first[rest]].tolist()
+    words = {text[i : i + 12].split()[0].decode() for i in at}
     if not is_f.any() or not all(map(_is_quiet, words)):
         return None
-    of_v, of_f = lines.chosen(is_v), lines.chosen(is_f)
     columns, sizes = lines.widths[is_v] - 1, lines.widths[is_f] - 1
     if not {*np.unique(columns).tolist()} <= {3, 4, 6, 7}:
         return None
+    points = lines.points(is_v, 1)
+    behind = numbers(lines.text(is_v, 4), np.float64, int((columns - 3).sum()))
+    if points is None or behind is None:
+        return None
+    if (behind[(np.cumsum(columns - 3) - 1)[columns == 4]] != 1).any():  # weights
+        return None
+    of_f = lines.text(is_f, 1)
     if b"/" in of_f:
-        of_f = re.sub(rb"(?<=\d)/-?\d*(?:/-?\d+)?(?=\s|$)", b"", of_f)
-    if of_v.count(b"v") != len(columns) or of_f.count(b"f") != len(sizes):
-        return None
-    values = numbers(of_v.replace(b"v", b" "), np.float64, int(columns.sum()))
-    corners = numbers(of_f.replace(b"f", b" "), np.int64, int(sizes.sum()))
-    if values is None or corners is None or not corners.all():
-        return None
-    first = np.cumsum(columns) - columns
-    if (values[first[columns == 4] + 3] != 1).any():
+        of_f = _before_slashes(of_f)
+    corners = numbers(of_f, np.int64, int(sizes.sum()))
+    if corners is None or not corners.all():
         return None
     so_far = np.repeat(np.cumsum(is_v)[is_f], sizes)
-    corners = np.where(corners > 0, corners - 1, so_far + corners)
-    return values[first[:, None] + np.arange(3)], Polygons(corners, sizes)
+    return points, Polygons(np.where(corners > 0, corners - 1, so_far + corners), sizes)
+
+
+def _before_slashes(text: bytes) -> bytes:
+    """Return each word up to its first slash."""
+    characters = np.frombuffer(text, dtype=np.uint8)
+    ends = np.flatnonzero((characters <= ord(" ")) | (characters == ord("/")))
+    kept = np.repeat(characters[ends] <= ord(" "), np.diff(ends, append=len(text)))
+    return text[: ends[0]] + characters[ends[0] :][kept].tobytes()
 
 
 def _is_quiet(word: str) -> bool:

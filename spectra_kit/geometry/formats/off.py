@@ -52,7 +52,8 @@ def read(path: Path) -> Arrays:
     if start := re.match(rb"\s*(ST)?(C)?(N)?(4)?OFF[ \t]+BINARY[^\n]*\n", data):
         widths = (3 + (start[4] is not None), 3 * (start[3] is not None))
         return _binary(data[start.end() :], *widths, 4 * bool(start[2]) + 2 * bool(start[1]))
-    text = without_comments(text_of(data))
+    data = text_of(data)
+    text = without_comments(data)
     header = _header([words for _, words in islice(words_of(text), 3)])
     found = at_once(text, header)
     return line_by_line(text, header) if found is None else found
@@ -64,21 +65,22 @@ def at_once(text: bytes, header: _Header) -> Arrays | None:
     n, start = header.n_points, header.lines
     if lines is None or header.has_weights or min(n, header.n_faces) < 1:
         return None
-    if len(lines) - start != n + header.n_faces or lines.widths[start] < 3:
+    if len(lines) - start != n + header.n_faces:
         return None
-    points, widths = lines.rows(start, start + n), lines.widths[start + n :]
-    total = int(widths.sum())
-    values = numbers(lines.part(start + n, len(lines)), np.int64, total)
-    if points is None or values is None:
+    of_points, of_faces = slice(start, start + n), slice(start + n, None)
+    widths, columns = lines.widths[of_faces], {*np.unique(lines.widths[of_points]).tolist()}
+    sizes = numbers(lines.text(of_faces, 0, 1), np.int64, len(widths))
+    if len(columns) > 1 or min(columns) < 3 or sizes is None or sizes.min() < 3:
         return None
-    first = np.cumsum(widths) - widths
-    sizes = values[first]
-    behind = {*np.unique(widths - 1 - sizes).tolist()}
-    if sizes.min() < 3 or not (behind <= {0, 3, 4} or behind == {1}):
+    behind = widths - 1 - sizes
+    if not ({*np.unique(behind).tolist()} <= {0, 3, 4} or (behind == 1).all()):
         return None
-    place = np.arange(total) - np.repeat(first, widths)
-    corners = values[(place > 0) & (place <= np.repeat(sizes, widths))]
-    return points[:, :3], Polygons(corners, sizes)
+    points = lines.points(of_points)
+    corners = numbers(lines.text(of_faces, 1, 1 + sizes), np.int64, int(sizes.sum()))
+    colours = numbers(lines.text(of_faces, 1 + sizes), np.float64, int(behind.sum()))
+    if points is None or corners is None or colours is None:
+        return None
+    return points, Polygons(corners, sizes)
 
 
 def line_by_line(text: bytes, header: _Header) -> Arrays:

@@ -6,18 +6,19 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._core.types import Floats
 from spectra_kit._core.warn import warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays, check_rest, real
-from spectra_kit.geometry.formats._text import text_of
+from spectra_kit.geometry.formats._text import Lines, text_of
 from spectra_kit.geometry.shapes import TriangleMesh
 
 HEADER = 80
 WORDS = f"facet normal 0 0 0 outer loop {'vertex 0 0 0 ' * 3} endloop endfacet".split()
 PATTERN = np.array(WORDS, dtype=object)
 NUMBERS = PATTERN == "0"
+WIDTHS, VERTICES = np.array([5, 2, 4, 4, 4, 1, 1]), slice(2, 5)  # of its lines
 CORNERS = NUMBERS & (np.arange(len(PATTERN)) > 4)  # without the normal, of which nothing is asked
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 UNKNOWN = 0, 0xFFFFFFFF  # what stands for the count where a program wrote before it knew
@@ -30,7 +31,12 @@ def read(path: Path) -> Arrays:
     """
     data = path.read_bytes()
     is_ascii = _is_ascii(data)
-    corners, is_ended = _ascii_corners(data) if is_ascii else (_binary_corners(data), True)
+    if is_ascii:
+        text = text_of(data)
+        found = at_once(text)
+        corners, is_ended = word_by_word(text) if found is None else (found, True)
+    else:
+        corners, is_ended = _binary_corners(data), True
     if len(corners) == 0:
         raise InvalidInputError("holds no triangle")
     faces = np.arange(len(corners)).reshape(-1, 3)
@@ -53,7 +59,7 @@ def _is_ascii(data: bytes) -> bool:
     return start.lstrip()[:5].lower() == b"solid" and b"\0" not in start
 
 
-def _binary_corners(data: bytes) -> NDArray[np.float64]:
+def _binary_corners(data: bytes) -> Floats:
     count = int.from_bytes(data[HEADER : HEADER + 4], "little")
     held, surplus = divmod(len(data) - HEADER - 4, FACET.itemsize)
     if count in UNKNOWN and held > 0 and not surplus:
@@ -71,9 +77,34 @@ def _binary_corners(data: bytes) -> NDArray[np.float64]:
     return np.asarray(facets["corners"].reshape(-1, 3), dtype=np.float64)
 
 
-def _ascii_corners(data: bytes) -> tuple[NDArray[np.float64], bool]:
-    """Return the corners of all facets, and whether a last line ends them."""
-    text = text_of(data).decode("utf-8", errors="replace").lower()
+def at_once(text: bytes) -> Floats | None:
+    """Return the corners of a text of which all is as usual, a facet on seven lines; or None."""
+    lines = Lines.of(text + b"\n" * 16)
+    if lines is None:
+        return None
+    begin, fourth = lines.character(0) | 32, lines.character(3) | 32
+    is_mark = (begin == ord("s")) | ((begin == ord("e")) & (fourth == ord("s")))
+    marks, of_facets = np.flatnonzero(is_mark), np.flatnonzero(~is_mark)
+    if len(marks) % 2 or len(of_facets) % len(WIDTHS) or not len(of_facets):
+        return None
+    starts, ends = marks[::2], marks[1::2]
+    if starts[0] or ends[-1] < len(lines) - 1 or (starts[1:] != ends[:-1] + 1).any():
+        return None
+    if (lines.widths[of_facets].reshape(-1, len(WIDTHS)) != WIDTHS).any():
+        return None
+    first = lines.first[of_facets].reshape(-1, len(WIDTHS))[:, 0]
+    if not (
+        lines.are(lines.first[starts], b"solid")
+        and lines.are(lines.first[ends], b"endsolid")
+        and all(lines.are(first + i, WORDS[i].encode()) for i in np.flatnonzero(~NUMBERS))
+    ):
+        return None
+    return lines.points(of_facets.reshape(-1, len(WIDTHS))[:, VERTICES].ravel(), 1)
+
+
+def word_by_word(data: bytes) -> tuple[Floats, bool]:
+    """Return the corners of all facets, and whether a last line ends them; say what is wrong."""
+    text = data.decode("utf-8", errors="replace").lower()
     text = re.sub(r"\bend[ \t]+(solid|loop|facet)\b", r"end\1", text)
     head, *rest = re.split(r"^[ \t]*((?:end)?solid)\b.*$", text, flags=re.MULTILINE)
     # A first and a last line that are there twice are one of each.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import quantity
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays, position, real, whole
@@ -25,16 +26,22 @@ def read(path: Path) -> Arrays:
     Every line must have the same number of columns; a count may stand in front.
     """
     text = text_of(path.read_bytes())
-    lines = Lines.of(without_comments(text))
-    table = None if lines is None else lines.rows(0, len(lines))
-    if table is not None and table.shape[1] >= 3:
-        return table[:, :3], None
-    rows = [(i, " ".join(words)) for i, words in words_of(text) if words[0][:2] != "//"]
-    return line_by_line(rows), None
+    found = at_once(text)
+    return line_by_line(text) if found is None else found, None
 
 
-def line_by_line(rows: Rows) -> list[list[float]]:
+def at_once(text: bytes) -> Floats | None:
+    """Read a table whose columns are parted by blanks; None of others."""
+    text = without_comments(text)
+    lines = None if b"," in text or b";" in text else Lines.of(text)
+    if not lines or lines.widths.min() < 3 or (lines.widths != lines.widths[0]).any():
+        return None
+    return lines.points(slice(None))
+
+
+def line_by_line(text: bytes) -> list[list[float]]:
     """Read any file, and say what is wrong with it."""
+    rows = [(i, " ".join(words)) for i, words in words_of(text) if words[0][:2] != "//"]
     count = rows[0][1] if rows and rows[0][1].isdecimal() else ""
     names, rows = _names(rows[bool(count) :])
     if count and int(count[:18]) != len(rows):
