@@ -39,11 +39,19 @@ def gram(mass: Weights, Y: Block) -> Floats:
     if isinstance(mass, sparse.csr_array):
         return projected(mass, Y)
 
-    def part(rows: slice) -> Floats:
-        weighted = np.sqrt(mass[rows, None]) * Y[rows]
-        return np.asarray(weighted.T @ weighted)
+    total = np.zeros((Y.shape[1], Y.shape[1]))
 
-    return _sum_of(part, len(Y))
+    def part(rows: slice) -> tuple[Any, Floats]:
+        block, place = Y[rows], np.s_[:, :]
+        if not block[0].all():  # modes of other components are zero here
+            here = np.flatnonzero(block.any(axis=0))
+            block, place = block[:, here], np.ix_(here, here)
+        weighted = np.sqrt(mass[rows, None]) * block
+        return place, np.asarray(weighted.T @ weighted)
+
+    for place, inside in _parts(part, len(Y)):
+        total[place] += inside
+    return total
 
 
 def projected(matrix: sparse.csr_array, Y: Block) -> Floats:
@@ -140,9 +148,13 @@ def correction(
 
 def _sum_of(part: Callable[[slice], Floats], n: int) -> Floats:
     """Return the sum of `part` over blocks of n rows, the same bits on any number of threads."""
-    with single_threaded_blas():
-        parts = in_threads(part, ((slice(*rows),) for rows in ranges(n, _ROWS)))
-    total: Floats = parts[0].copy()
-    for other in parts[1:]:
+    first, *others = _parts(part, n)
+    total: Floats = first.copy()
+    for other in others:
         total += other
     return total
+
+
+def _parts(part: Callable[[slice], Any], n: int) -> list[Any]:
+    with single_threaded_blas():
+        return in_threads(part, ((slice(*rows),) for rows in ranges(n, _ROWS)))

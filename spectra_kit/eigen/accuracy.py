@@ -9,13 +9,12 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from spectra_kit._core.threads import blas_threads_for
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import quantity
 from spectra_kit._core.warn import warn
+from spectra_kit._sparse.host import gram, projected
 from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit._sparse.pencil import Pencil
-from spectra_kit._sparse.products import spmm
 from spectra_kit._sparse.ritz import ritz_pairs
 from spectra_kit.eigen.base import Eigensolver
 from spectra_kit.eigen.certificate import Certificate
@@ -137,8 +136,7 @@ def with_bounds(certificate: Certificate, spectrum: Spectrum, laplacian: Laplaci
     least = error_units(certificate, spectrum.eigenvalues, laplacian)
     bounded, errors = np.arange(spectrum.k) < certificate.n_verified, certificate.errors
     if errors is None or bounded.any():
-        with blas_threads_for(spectrum.eigenvectors.size):
-            own = _absolute(certificate, spectrum, laplacian) / least
+        own = _absolute(certificate, spectrum, laplacian) / least
         bounded &= True if errors is None else own < errors
         errors = own if errors is None else np.where(bounded, own, errors)
     mixed = in_order(spectrum.eigenvalues, errors * least) / least
@@ -162,9 +160,9 @@ def _absolute(certificate: Certificate, spectrum: Spectrum, laplacian: Laplacian
     radius = count.radius if count else 0.0
     least = rounding(laplacian)
     off = np.empty(k)
-    for (first, last), quotients, gram in _clusters(residuals, spectrum, laplacian):
+    for (first, last), quotients, products in _clusters(residuals, spectrum, laplacian):
         theta = values[first:last]
-        apart = float(np.linalg.norm(gram - np.eye(last - first)))  # from orthonormal
+        apart = float(np.linalg.norm(products - np.eye(last - first)))  # from orthonormal
         size = (1 + apart) * float(np.linalg.norm(residuals[first:last]))
         below = values[first] - values[first - 1] if first else np.inf
         # What no count has told is taken to be no nearer than it is on average, here or in all.
@@ -195,12 +193,12 @@ def _clusters(
         if end - start < _COLUMNS and i < len(ends) - 1:
             continue
         some = np.ascontiguousarray(U[:, start:end])
-        quotients = some.T @ spmm(laplacian.stiffness, some)
-        gram = some.T @ (laplacian.mass[:, None] * some)
+        quotients = projected(laplacian.stiffness, some)
+        products = gram(laplacian.mass, some)
         inside = [e for e in ends if start < e <= end]
         for last in inside:
             block = slice(first - start, last - start)
-            yield (first, last), quotients[block, block], gram[block, block]
+            yield (first, last), quotients[block, block], products[block, block]
             first = last
         start = end
 

@@ -13,7 +13,7 @@ from spectra_kit._core.threads import single_threaded_blas
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit.operators.laplacian import Laplacian
 
-_SMALL = 64  # points
+_SMALL = 192  # points: beyond, LAPACK on all of them costs more than a call each
 _TOGETHER = 2**22  # numbers of their matrices at once
 
 
