@@ -62,10 +62,14 @@ def projected(matrix: sparse.csr_array, Y: Block) -> Floats:
         return (inside + inside.T) / 2
     parts = []
     for first, last in ranges(Y.shape[1], _COLUMNS):
-        image = product(matrix, Y[:, first:last])
-        parts.append(_sum_of(lambda rows, z=image: Y[rows].T.astype(float) @ z[rows], len(Y)))  # type: ignore[misc]
+        parts.append(inner(Y, product(matrix, Y[:, first:last])))
     inside = np.hstack(parts)
     return (inside + inside.T) / 2
+
+
+def inner(Y: Block, Z: Floats) -> Floats:
+    """Return ``Y^T Z``, summed in float64."""
+    return _sum_of(lambda rows: Y[rows].T.astype(float, copy=False) @ Z[rows], len(Y))
 
 
 def lifted(Y: Block, rotation: Floats) -> Floats:

@@ -12,9 +12,10 @@ from scipy.sparse.csgraph import connected_components
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import quantity
 from spectra_kit._core.warn import warn
-from spectra_kit._sparse.host import gram, projected
+from spectra_kit._sparse.host import gram, inner
 from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit._sparse.pencil import Pencil
+from spectra_kit._sparse.products import spmm
 from spectra_kit._sparse.ritz import ritz_pairs
 from spectra_kit.eigen.base import Eigensolver
 from spectra_kit.eigen.certificate import Certificate
@@ -193,7 +194,7 @@ def _clusters(
         if end - start < _COLUMNS and i < len(ends) - 1:
             continue
         some = np.ascontiguousarray(U[:, start:end])
-        quotients = projected(laplacian.stiffness, some)
+        quotients = inner(some, spmm(laplacian.stiffness, some))
         products = gram(laplacian.mass, some)
         inside = [e for e in ends if start < e <= end]
         for last in inside:

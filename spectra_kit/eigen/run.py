@@ -49,6 +49,7 @@ _CONSTANT = 1e-6  # modes that span the constant but for this share of it span i
 _ROUNDS = 8  # counts, with a search for what is missing between them; two are enough as a rule
 _BEST = 1e-13  # relative residuals not to ask for less than
 _ORDINARY = 30  # powers of two from one within which sizes and energies need no other unit
+_SPREAD = 1e4  # spacings: rounding of larger eigenvalues tells in the lowest
 _NEAR = 10  # modes that complete an exact spectrum may have residuals so many times those it has
 
 
@@ -245,13 +246,12 @@ class _Run:
             for room, share in zip(most, areas / areas.sum(), strict=True)
         ]
         due = [i for i, room in enumerate(most) if room]
-        if isinstance(solver, Automatic | Dense) and not whole:
-            self.together(due, most, solver)
-            wanted = [most[i] if i in self.found else m for i, m in enumerate(wanted)]
-            due = [i for i in due if i not in self.found]
         lacking: RankError | None = None
         while due:
-            for i in due:
+            alone = set(due)
+            if isinstance(solver, Automatic | Dense) and not whole:
+                alone -= self.together(due, wanted, solver)
+            for i in sorted(alone):
                 part = laplacian if whole else laplacian.restricted(parts[i])
                 own = solver if whole else restricted(solver, parts[i])
                 try:
@@ -287,31 +287,32 @@ class _Run:
         self.found.clear()  # gigabytes, while the merged ones are certified
         return merged
 
-    def together(self, due: list[int], most: list[int], solver: Automatic | Dense) -> None:
-        """Solve the small components among those due, all that are of one size at once.
+    def together(self, due: list[int], wanted: list[int], solver: Automatic | Dense) -> set[int]:
+        """Solve the small components among those due, all of one size at once; return which.
 
-        For as many modes of each as may be wanted, at most. What fails the checks of one is left.
+        Not those where rounding, which is relative to the largest eigenvalue, tells in the lowest,
+        nor those that have negative ones: what refuses them does so one by one.
         """
-        laplacian, begin, dense = self.laplacian, time.perf_counter(), Dense()
-        least = -_NEGATIVE * laplacian.component_spacings
+        laplacian, begin, solved = self.laplacian, time.perf_counter(), set[int]()
         few = solver.max_points if isinstance(solver, Dense) else laplacian.n
         for alike in small_components(laplacian, [self.parts[i] for i in due], few):
             n = alike.points.shape[1]
+            spacing, norms = laplacian.component_spacings[alike.which], alike.norms
             values, vectors = alike.eigenpairs(laplacian)
-            for i, own, modes in zip(alike.which.tolist(), values, vectors, strict=True):
-                k, why = most[i], ""
+            sound = (norms <= _SPREAD * spacing) & (values.min(axis=1) >= -_NEGATIVE * spacing)
+            for j in np.flatnonzero(sound):
+                i = int(alike.which[j])
+                k, told = wanted[i], {"errors": np.zeros(1)} if n == 1 else {}
                 if isinstance(solver, Automatic):
-                    chosen, why = solver.choose(n, k)
+                    chosen, reason = solver.choose(n, k)
                     if promise_of(chosen) != "exact":
                         continue
-                if own[0] >= least[i]:
-                    pairs = Eigenpairs(np.maximum(own[:k], 0.0), modes[:, :k].copy())
-                    if n == 1:
-                        pairs = pairs._replace(errors=np.zeros(1))
-                    elif why:
-                        pairs = pairs._replace(solver=dense, reason=why)
-                    self.keep(i, pairs)
+                    told = told or {"solver": Dense(), "reason": reason}
+                own = np.maximum(values[j, :k], 0.0), vectors[j, :, :k].copy()
+                self.keep(i, Eigenpairs(*own, **told))
+                solved.add(i)
         self.book("dense", time.perf_counter() - begin)
+        return solved
 
     def keep(self, i: int, pairs: Eigenpairs) -> None:
         """Remember what was found of a component, and what was chosen for it."""
@@ -510,7 +511,7 @@ def _modes_wanted(laplacian: Laplacian, parts: list[Ints], k: int, *, all_parts:
     for alike in small_components(laplacian, parts):
         values, i = alike.eigenvalues(), alike.which
         values[constant[i], 0] = np.inf  # is among those known
-        off = _NEGATIVE * np.abs(alike.matrices).max(axis=(1, 2))
+        off = _NEGATIVE * alike.norms
         known.append((values + off[:, None]).ravel())
         others[i] = values.min(axis=1) - off
     lowest = np.sort(np.concatenate(known))

@@ -24,6 +24,11 @@ class Alike(NamedTuple):
     points: Ints  #: Of each, (c, s).
     matrices: Floats  #: (c, s, s)
 
+    @property
+    def norms(self) -> Floats:
+        """Bounds of their largest eigenvalues; (c,)."""
+        return np.asarray(np.abs(self.matrices).sum(axis=2).max(axis=1))
+
     def eigenvalues(self) -> Floats:
         """Return all of them, ascending; (c, s)."""
         with single_threaded_blas():
@@ -38,9 +43,8 @@ class Alike(NamedTuple):
         root = np.sqrt(laplacian.mass[self.points])
         area_root = np.linalg.norm(root, axis=1)
         constant = laplacian.constant_components[self.which]
-        unit, norm = root / area_root[:, None], np.abs(self.matrices).sum(axis=2).max(axis=1)
-        unit[constant] *= np.sqrt(norm[constant])[:, None]
-        matrices = self.matrices
+        unit, matrices = root / area_root[:, None], self.matrices
+        unit *= np.sqrt(self.norms)[:, None]
         matrices[constant] -= unit[constant, :, None] * unit[constant, None, :]
         with single_threaded_blas():
             values, vectors = np.linalg.eigh(matrices)
