@@ -105,6 +105,7 @@ def test_small_parts_together_are_what_each_is_alone(k, solver) -> None:
     parts = laplacian.component_labels
     own, other = ([parts[np.abs(u).argmax()] for u in s.eigenvectors.T] for s in (together, alone))
     assert np.bincount(own).tolist() == np.bincount(other).tolist()
+    assert own[:36] == other[:36]
     assert (together.eigenvalues[: together.n_zero_modes] == 0).all()
     assert together.n_zero_modes == alone.n_zero_modes == min(k, 36)
     assert together.certificate.level == "verified"
