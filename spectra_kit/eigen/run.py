@@ -49,7 +49,7 @@ _CONSTANT = 1e-6  # modes that span the constant but for this share of it span i
 _ROUNDS = 8  # counts, with a search for what is missing between them; two are enough as a rule
 _BEST = 1e-13  # relative residuals not to ask for less than
 _ORDINARY = 30  # powers of two from one within which sizes and energies need no other unit
-_SPREAD = 1e4  # spacings: rounding of larger eigenvalues tells in the lowest
+_SPREAD = 1e4  # times as large eigenvalues whose rounding does not tell in the lowest
 _NEAR = 10  # modes that complete an exact spectrum may have residuals so many times those it has
 
 
@@ -297,10 +297,11 @@ class _Run:
         few = solver.max_points if isinstance(solver, Dense) else laplacian.n
         for alike in small_components(laplacian, [self.parts[i] for i in due], few):
             n = alike.points.shape[1]
-            spacing, norms = laplacian.component_spacings[alike.which], alike.norms
+            norms, second = alike.norms, laplacian.constant_components[alike.which] & (n > 1)
             values, vectors = alike.eigenpairs(laplacian)
-            sound = (norms <= _SPREAD * spacing) & (values.min(axis=1) >= -_NEGATIVE * spacing)
-            for j in np.flatnonzero(sound):
+            lowest = np.where(second, values[:, min(1, n - 1)], values[:, 0])
+            unit = np.minimum(lowest, laplacian.component_spacings[alike.which])
+            for j in np.flatnonzero(norms <= _SPREAD * unit):
                 i = int(alike.which[j])
                 k, told = wanted[i], {"errors": np.zeros(1)} if n == 1 else {}
                 if isinstance(solver, Automatic):
