@@ -42,7 +42,8 @@ def gram(mass: Weights, Y: Block) -> Floats:
     total = np.zeros((Y.shape[1], Y.shape[1]))
 
     def part(rows: slice) -> tuple[Any, Floats]:
-        block, place = Y[rows], np.s_[:, :]
+        block: Block = Y[rows]
+        place: Any = np.s_[:, :]
         if not block[0].all():  # modes of other components are zero here
             here = np.flatnonzero(block.any(axis=0))
             block, place = block[:, here], np.ix_(here, here)

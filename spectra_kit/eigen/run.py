@@ -9,7 +9,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -303,7 +303,8 @@ class _Run:
             unit = np.minimum(lowest, laplacian.component_spacings[alike.which])
             for j in np.flatnonzero(norms <= _SPREAD * unit):
                 i = int(alike.which[j])
-                k, told = wanted[i], {"errors": np.zeros(1)} if n == 1 else {}
+                k = wanted[i]
+                told: dict[str, Any] = {"errors": np.zeros(1)} if n == 1 else {}
                 if isinstance(solver, Automatic):
                     chosen, reason = solver.choose(n, k)
                     if promise_of(chosen) != "exact":
