@@ -39,11 +39,20 @@ def gram(mass: Weights, Y: Block) -> Floats:
     if isinstance(mass, sparse.csr_array):
         return projected(mass, Y)
 
-    def part(rows: slice) -> Floats:
-        weighted = np.sqrt(mass[rows, None]) * Y[rows]
-        return np.asarray(weighted.T @ weighted)
+    total = np.zeros((Y.shape[1], Y.shape[1]))
 
-    return _sum_of(part, len(Y))
+    def part(rows: slice) -> tuple[Any, Floats]:
+        block: Block = Y[rows]
+        place: Any = np.s_[:, :]
+        if not block[0].all():  # modes of other components are zero here
+            here = np.flatnonzero(block.any(axis=0))
+            block, place = block[:, here], np.ix_(here, here)
+        weighted = np.sqrt(mass[rows, None]) * block
+        return place, np.asarray(weighted.T @ weighted)
+
+    for place, inside in _parts(part, len(Y)):
+        total[place] += inside
+    return total
 
 
 def projected(matrix: sparse.csr_array, Y: Block) -> Floats:
@@ -54,10 +63,14 @@ def projected(matrix: sparse.csr_array, Y: Block) -> Floats:
         return (inside + inside.T) / 2
     parts = []
     for first, last in ranges(Y.shape[1], _COLUMNS):
-        image = product(matrix, Y[:, first:last])
-        parts.append(_sum_of(lambda rows, z=image: Y[rows].T.astype(float) @ z[rows], len(Y)))  # type: ignore[misc]
+        parts.append(inner(Y, product(matrix, Y[:, first:last])))
     inside = np.hstack(parts)
     return (inside + inside.T) / 2
+
+
+def inner(Y: Block, Z: Floats) -> Floats:
+    """Return ``Y^T Z``, summed in float64."""
+    return _sum_of(lambda rows: Y[rows].T.astype(float, copy=False) @ Z[rows], len(Y))
 
 
 def lifted(Y: Block, rotation: Floats) -> Floats:
@@ -140,9 +153,13 @@ def correction(
 
 def _sum_of(part: Callable[[slice], Floats], n: int) -> Floats:
     """Return the sum of `part` over blocks of n rows, the same bits on any number of threads."""
-    with single_threaded_blas():
-        parts = in_threads(part, ((slice(*rows),) for rows in ranges(n, _ROWS)))
-    total: Floats = parts[0].copy()
-    for other in parts[1:]:
+    first, *others = _parts(part, n)
+    total: Floats = first.copy()
+    for other in others:
         total += other
     return total
+
+
+def _parts(part: Callable[[slice], Any], n: int) -> list[Any]:
+    with single_threaded_blas():
+        return in_threads(part, ((slice(*rows),) for rows in ranges(n, _ROWS)))

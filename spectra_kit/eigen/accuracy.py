@@ -9,10 +9,10 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from spectra_kit._core.threads import blas_threads_for
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import quantity
 from spectra_kit._core.warn import warn
+from spectra_kit._sparse.host import gram, inner
 from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit._sparse.pencil import Pencil
 from spectra_kit._sparse.products import spmm
@@ -137,8 +137,7 @@ def with_bounds(certificate: Certificate, spectrum: Spectrum, laplacian: Laplaci
     least = error_units(certificate, spectrum.eigenvalues, laplacian)
     bounded, errors = np.arange(spectrum.k) < certificate.n_verified, certificate.errors
     if errors is None or bounded.any():
-        with blas_threads_for(spectrum.eigenvectors.size):
-            own = _absolute(certificate, spectrum, laplacian) / least
+        own = _absolute(certificate, spectrum, laplacian) / least
         bounded &= True if errors is None else own < errors
         errors = own if errors is None else np.where(bounded, own, errors)
     mixed = in_order(spectrum.eigenvalues, errors * least) / least
@@ -165,7 +164,7 @@ def _absolute(certificate: Certificate, spectrum: Spectrum, laplacian: Laplacian
     last = np.append(np.flatnonzero(alone) + 1, k)  # of each cluster, and one more
     first = np.append(0, last[:-1])
     skew, apart = _inexactness(first, last, spectrum, laplacian)
-    skew += (1 + apart) ** 2 * apart * values[-1]
+    skew += (1 + apart) ** 2 * apart * values[last - 1]
     size = (1 + apart) * np.sqrt(np.add.reduceat(residuals**2, first))
     # What no count has told is taken to be no nearer than it is on average, here or in all.
     room = min(laplacian.eigenvalue_spacing, (values[-1] - values[0]) / max(k - 1, 1))
@@ -193,11 +192,11 @@ def _inexactness(
     for begin, end in pairwise(starts.tolist()):  # clusters that are looked at together
         columns = slice(first[begin], last[end - 1])
         U = np.ascontiguousarray(spectrum.eigenvectors[:, columns])
-        off = U.T @ spmm(laplacian.stiffness, U) - np.diag(spectrum.eigenvalues[columns])
-        gram = U.T @ (laplacian.mass[:, None] * U) - np.eye(U.shape[1])
+        off = inner(U, spmm(laplacian.stiffness, U)) - np.diag(spectrum.eigenvalues[columns])
+        unlike = gram(laplacian.mass, U) - np.eye(U.shape[1])
         inside = np.repeat(np.arange(begin, end), last[begin:end] - first[begin:end])
         within = inside[:, None] == inside
-        for error, sums in ((off, skew), (gram, apart)):
+        for error, sums in ((off, skew), (unlike, apart)):
             rows = np.where(within, error**2, 0.0).sum(axis=1)
             sums[begin:end] = np.sqrt(np.add.reduceat(rows, first[begin:end] - first[begin]))
     return skew, apart

@@ -7,15 +7,15 @@ import math
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
 
 from spectra_kit._core.threads import blas_threads_for
-from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.types import Ints
 from spectra_kit._core.validate import quantity
 from spectra_kit._core.version import VERSION
 from spectra_kit._sparse.orthonormal import RankError
@@ -26,11 +26,13 @@ from spectra_kit.eigen.accuracy import (
     with_bounds,
     with_excess,
 )
+from spectra_kit.eigen.automatic import Automatic
 from spectra_kit.eigen.base import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.eigen.certificate import Certificate, Provenance
 from spectra_kit.eigen.counting import count_modes, verify
 from spectra_kit.eigen.dense import Dense
 from spectra_kit.eigen.refined import Refined
+from spectra_kit.eigen.small_parts import small_components
 from spectra_kit.eigen.spectrum import Spectrum, certificate_of
 from spectra_kit.eigen.subspaces.base import GivenBasis, RandomBasis, Union, restricted
 from spectra_kit.errors import (
@@ -46,9 +48,8 @@ _NEGATIVE = 1e-6  # eigenvalues down to -this times the spacing are rounding, an
 _CONSTANT = 1e-6  # modes that span the constant but for this share of it span it, up to rounding
 _ROUNDS = 8  # counts, with a search for what is missing between them; two are enough as a rule
 _BEST = 1e-13  # relative residuals not to ask for less than
-_SMALL = 64  # points of components that are looked at together before any is solved
-_TOGETHER = 2**22  # numbers of their matrices at once
 _ORDINARY = 30  # powers of two from one within which sizes and energies need no other unit
+_SPREAD = 1e4  # times as large eigenvalues whose rounding does not tell in the lowest
 _NEAR = 10  # modes that complete an exact spectrum may have residuals so many times those it has
 
 
@@ -247,7 +248,10 @@ class _Run:
         due = [i for i, room in enumerate(most) if room]
         lacking: RankError | None = None
         while due:
-            for i in due:
+            alone = set(due)
+            if isinstance(solver, Automatic | Dense) and not whole:
+                alone -= self.together(due, wanted, solver)
+            for i in sorted(alone):
                 part = laplacian if whole else laplacian.restricted(parts[i])
                 own = solver if whole else restricted(solver, parts[i])
                 try:
@@ -282,6 +286,35 @@ class _Run:
         merged = self.found[0] if whole else self.merged(k)
         self.found.clear()  # gigabytes, while the merged ones are certified
         return merged
+
+    def together(self, due: list[int], wanted: list[int], solver: Automatic | Dense) -> set[int]:
+        """Solve the small components among those due, all of one size at once; return which.
+
+        Not those where rounding, which is relative to the largest eigenvalue, tells in the lowest,
+        nor those that have negative ones: what refuses them does so one by one.
+        """
+        laplacian, begin, solved = self.laplacian, time.perf_counter(), set[int]()
+        few = solver.max_points if isinstance(solver, Dense) else laplacian.n
+        for alike in small_components(laplacian, [self.parts[i] for i in due], few):
+            n = alike.points.shape[1]
+            norms, second = alike.norms, laplacian.constant_components[alike.which] & (n > 1)
+            values, vectors = alike.eigenpairs(laplacian)
+            lowest = np.where(second, values[:, min(1, n - 1)], values[:, 0])
+            unit = np.minimum(lowest, laplacian.component_spacings[alike.which])
+            for j in np.flatnonzero(norms <= _SPREAD * unit):
+                i = int(alike.which[j])
+                k = wanted[i]
+                told: dict[str, Any] = {"errors": np.zeros(1)} if n == 1 else {}
+                if isinstance(solver, Automatic):
+                    chosen, reason = solver.choose(n, k)
+                    if promise_of(chosen) != "exact":
+                        continue
+                    told = told or {"solver": Dense(), "reason": reason}
+                own = np.maximum(values[j, :k], 0.0), vectors[j, :, :k].copy()
+                self.keep(i, Eigenpairs(*own, **told))
+                solved.add(i)
+        self.book("dense", time.perf_counter() - begin)
+        return solved
 
     def keep(self, i: int, pairs: Eigenpairs) -> None:
         """Remember what was found of a component, and what was chosen for it."""
@@ -319,8 +352,8 @@ class _Run:
 
     def merged(self, k: int) -> Eigenpairs:
         """Return the k lowest pairs (or all there are) of the components solved, on all points."""
-        n, pairs = self.laplacian.n, list(self.found.values())
-        parts = [self.parts[i] for i in self.found]
+        n, found = self.laplacian.n, sorted(self.found)  # of equal modes, those of the first
+        pairs, parts = [self.found[i] for i in found], [self.parts[i] for i in found]
         if not pairs:
             return _none(n)
         values = np.concatenate([p.eigenvalues for p in pairs])
@@ -475,44 +508,19 @@ def _modes_wanted(laplacian: Laplacian, parts: list[Ints], k: int, *, all_parts:
     most = np.array([min(len(part), k) for part in parts])
     if all_parts or len(parts) == 1:
         return most
-    known = [np.zeros(1) if own else np.empty(0) for own in constant]  # from below
+    known = [np.zeros(constant.sum())]  # from below
     others = np.zeros(len(parts))  # the lowest that is not the constant's, less a margin
-    for rows, values, margin in _small_components(laplacian, parts):
-        for i, own, off in zip(rows, values, margin, strict=True):
-            rest = own[1:] if constant[i] else own
-            known[i] = np.append(known[i], rest + off)
-            others[i] = rest.min(initial=np.inf) - off
+    for alike in small_components(laplacian, parts):
+        values, i = alike.eigenvalues(), alike.which
+        values[constant[i], 0] = np.inf  # is among those known
+        off = _NEGATIVE * alike.norms
+        known.append((values + off[:, None]).ravel())
+        others[i] = values.min(axis=1) - off
     lowest = np.sort(np.concatenate(known))
     if len(lowest) >= k:
         above = others > lowest[k - 1]
         most[above] = constant[above]
     return most
-
-
-def _small_components(
-    laplacian: Laplacian, parts: list[Ints]
-) -> Iterator[tuple[Ints, Floats, Floats]]:
-    """Yield which components are of one small size, their eigenvalues, and what rounding is below.
-
-    Together, for a call costs more than such a problem.
-    """
-    sizes = np.array([len(part) for part in parts])
-    place, root = np.empty(laplacian.n, dtype=np.int64), np.sqrt(laplacian.mass)
-    for size in np.unique(sizes[sizes <= _SMALL]):
-        some = np.flatnonzero(sizes == size)
-        for rows in np.array_split(some, math.ceil(len(some) * size**2 / _TOGETHER)):
-            points = np.concatenate([parts[i] for i in rows])
-            place[points] = np.arange(len(points))
-            entries = sparse.coo_array(laplacian.stiffness[points])
-            owner, column = entries.row // size, entries.col
-            inside = laplacian.component_labels[column] == rows[owner]
-            row, owner, column = entries.row[inside], owner[inside], column[inside]
-            stack = np.zeros((len(rows), size, size))
-            stack[owner, row % size, place[column] % size] = (
-                entries.data[inside] / root[points[row]] / root[column]
-            )
-            values = np.linalg.eigvalsh(stack)
-            yield rows, values, _NEGATIVE * np.abs(stack).max(axis=(1, 2))
 
 
 def _component_indices(laplacian: Laplacian) -> list[Ints]:

@@ -91,6 +91,35 @@ def test_parts_without_a_constant_are_looked_at_together(k) -> None:
     assert spectrum.certificate.level == "verified"
 
 
+@pytest.mark.parametrize("solver", [sk.Automatic(), sk.Dense()], ids=repr)
+@pytest.mark.parametrize("k", [5, 40, 90])
+def test_small_parts_together_are_what_each_is_alone(k, solver) -> None:
+    """Each beside its equal, some held at a corner, and two isolated points."""
+    mesh = tetrahedra(20)
+    one = sk.laplacian(mesh)
+    stiffness = sparse.block_diag([one.stiffness, one.stiffness, [[0.0]], [[0.5]]])
+    mass, apart = np.append(np.tile(one.mass, 2), [1, 1]), np.zeros((2 * one.n + 2, 3))
+    laplacian = sk.Laplacian(sparse.csr_array(stiffness), mass, apart).dirichlet([0, 8, 16, 24, 32])
+    together, alone = (sk.eigensolve(laplacian, k, s) for s in (solver, Told()))
+    np.testing.assert_allclose(together.eigenvalues, alone.eigenvalues, rtol=1e-12, atol=1e-12)
+    parts = laplacian.component_labels
+    own, other = ([parts[np.abs(u).argmax()] for u in s.eigenvectors.T] for s in (together, alone))
+    assert np.bincount(own).tolist() == np.bincount(other).tolist()
+    assert own[:36] == other[:36]
+    assert (together.eigenvalues[: together.n_zero_modes] == 0).all()
+    assert together.n_zero_modes == alone.n_zero_modes == min(k, 36)
+    assert together.certificate.level == "verified"
+    assert together.certificate.relative_residuals.max() < 1e-14
+
+
+@pytest.mark.parametrize("solver", [sk.Automatic(), sk.Dense()], ids=repr)
+def test_a_small_part_of_negative_energy_is_refused(solver) -> None:
+    laplacian = sk.laplacian(tetrahedra(3))
+    turned = laplacian.stiffness - sparse.diags_array(np.repeat([0, 0, 1e-3], 4))
+    with pytest.raises(sk.errors.InvalidSpectrumError, match="negative eigenvalue"):
+        sk.eigensolve(sk.Laplacian(turned, laplacian.mass, laplacian.points), 8, solver)
+
+
 def test_isolated_points_with_a_potential() -> None:
     """Of no energy but their own: the lowest heights, in order."""
     height = np.random.default_rng(0).permutation(np.arange(1.0, 301.0))
