@@ -29,7 +29,7 @@ def test_solvers(name: str, bumpy_laplacian: sk.Laplacian) -> None:
     assert isinstance(solver, Eigensolver)
     assert solver.promise == SOLVERS[name].promise
     made = sk.eigensolve(bumpy_laplacian, 6, solver).provenance
-    chosen = {"automatic": "arpack", "lanczos": "dense"}.get(name, name)  # on so few points
+    chosen = {"automatic": "arpack"}.get(name, name)  # on so few points
     assert made.name == chosen, "the class in lower case, or what its attribute `name` says"
     assert made.accuracy == SOLVERS[name].promise
 
