@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import GEOMETRIES, creature, data_folder, joined, laplacian_of, moved
-from torch.utils._python_dispatch import TorchDispatchMode
+from launches import Launches
 
 import spectra_kit as sk
 from spectra_kit import Neo, eigensolve, eigensolve_many, robust_laplacian
@@ -268,19 +268,6 @@ def test_a_batch_on_a_device_is_as_its_parts(shapes, k, target, steps, monkeypat
         assert np.abs(quotients).max() < 1e-10 * size
 
 
-class Launches(TorchDispatchMode):
-    """What torch is asked to do inside, and how often it is waited for."""
-
-    def __init__(self):
-        super().__init__()
-        self.all = self.waits = 0
-
-    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-        self.all += 1
-        self.waits += func is torch.ops.aten._local_scalar_dense.default
-        return func(*args, **(kwargs or {}))
-
-
 def test_launches_and_waits_do_not_grow_with_a_batch():
     shapes, neo, counts = bodies()[:3], Neo(device="cpu:0"), []
     for times in (1, 3):
@@ -290,7 +277,7 @@ def test_launches_and_waits_do_not_grow_with_a_batch():
         with Launches() as launches:
             found = predicted_and_smoothed(some, basis, K, **options)
         assert all(one.steps == 1 for one in found)
-        counts.append((launches.all, launches.waits))
+        counts.append((len(launches.names), launches.waits("_local_scalar_dense")))
     assert counts[0] == counts[1]
     assert counts[0][1] == 2
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 from conftest import ball, creature, refused
+from launches import Launches
 from test_delaunay import CLOUDS, NEAR, POINTS, grid, meridians, rings, turned
-from torch.utils._python_dispatch import TorchDispatchMode
 
 import spectra_kit as sk
 from spectra_kit import PointCloud, delaunay_laplacian, laplacian, laplacian_many, robust_laplacian
@@ -144,26 +144,12 @@ def test_hulls_are_those_of_the_host() -> None:
         np.testing.assert_array_equal(found[0][row, :size], links[row, :size])
 
 
-class Launches(TorchDispatchMode):
-    """What torch is asked to do inside, and how often it is waited for."""
-
-    def __init__(self):
-        super().__init__()
-        self.all = self.waits = 0
-
-    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-        waits = (torch.ops.aten._local_scalar_dense.default, torch.ops.aten.nonzero.default)
-        self.all += 1
-        self.waits += func in waits
-        return func(*args, **(kwargs or {}))
-
-
 def test_launches_and_waits_do_not_grow_with_a_batch() -> None:
     clouds, counts = [ordered(name)[0] for name in ("31 points", "grid")], []
     for times in (1, 4):
         with Launches() as launches:
             _device_stars.first_stars(clouds * times, 30, DEVICE)
-        counts.append((launches.all, launches.waits))
+        counts.append((len(launches.names), launches.waits()))
     assert counts[0] == counts[1]
     assert counts[0][1] == 0  # but for the results
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from torch.utils._python_dispatch import TorchDispatchMode
+from launches import Launches
 
 from spectra_kit._sparse import batched_eigh as module
 from spectra_kit._sparse.batched_eigh import divide_and_conquer, eigh
@@ -78,18 +78,6 @@ def test_each_is_solved_as_if_alone():
         assert torch.allclose(values[i], alone[0], rtol=0, atol=1e-13 * size)
         if alone.diff().min() > 1e-6 * size:  # else rounding decides about vectors
             assert torch.allclose(vectors[i], theirs[0], rtol=0, atol=1e-8)
-
-
-class Launches(TorchDispatchMode):
-    """What torch is asked to do inside."""
-
-    def __init__(self):
-        super().__init__()
-        self.names = []
-
-    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-        self.names.append(func.overloadpacket.__name__)
-        return func(*args, **(kwargs or {}))
 
 
 def test_launches_do_not_grow_with_a_batch_and_nothing_is_read():
