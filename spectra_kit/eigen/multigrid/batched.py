@@ -20,12 +20,7 @@ from spectra_kit._core.clock import Clock
 from spectra_kit._sparse.batched_eigh import eigh
 from spectra_kit._sparse.torch_device import csr_product, csr_tensor
 from spectra_kit.eigen.multigrid import estimates, smoothing
-from spectra_kit.eigen.multigrid.cascade import (
-    _MORE,
-    _ROUNDING,
-    _SURE,
-    Smoothed,
-)
+from spectra_kit.eigen.multigrid.cascade import _MORE, _ROUNDING, _SURE, Smoothed
 from spectra_kit.operators.laplacian import Laplacian
 
 _CUT = 1e-12  # lowest eigenvalue of a scaled Gram matrix that hides nothing, as `ritz_pairs` has it
@@ -170,6 +165,7 @@ def predicted_and_smoothed(
         _end(ends, laplacians, open_, open_, (values, U[..., :k], unknown), 0)
         return ends
     chosen, off = open_, None
+    met = spared = torch.zeros_like(batch.highest, dtype=torch.bool)  # see `prolonged`
     for step in range(1, max_steps + 1):
         if not len(open_):
             break
@@ -178,7 +174,11 @@ def predicted_and_smoothed(
             rows = batch.mass.shape[1]
             values, U, residual = values[chosen], U[chosen, :rows], residual[chosen, :rows]
             off = None if off is None else off[chosen]
-        before, c = values, _smoothing(batch, values, U, residual, k, off, target)
+            met, spared = met[chosen], spared[chosen]
+        sparing = met & ~spared
+        spared = spared | sparing
+        goal = torch.where(sparing, target / _SURE, target / (_SURE * _MORE))
+        before, c = values, _smoothing(batch, values, U, residual, k, off, goal, sparing)
         clock.stage("smooth")
         values, U, fit = batch.ritz(U + c, keep, _SPREAD)
         rises = values[:, :k] > before[:, :k] + _ROUNDING * before[:, -1:]
@@ -191,7 +191,8 @@ def predicted_and_smoothed(
         left = values[:, :k] - excess
         sorts = left.sort(1).values
         errors = torch.where(sorts == left, excess, values[:, :k] - sorts) / least
-        done = (errors.mean(1) <= target / _SURE) | (step == max_steps)
+        mean = errors.mean(1, keepdim=True)
+        met, done = mean <= target, (mean[:, 0] <= target / _SURE) | (step == max_steps)
         fit &= ~rises.any(1)
         state = (fit.int() + (fit & done).int()).tolist()  # left to others, going on, ended
         ended, chosen = ([j for j, what in enumerate(state) if what == its] for its in (2, 1))
@@ -223,7 +224,8 @@ def _smoothing(
     residual: Tensor,
     k: int,
     errors: Tensor | None,
-    target: float,
+    goal: Tensor,
+    sparing: Tensor,
 ) -> Tensor:
     """Return what `Smoothing.smoothed` adds to the columns."""
     guards = max(1, values.shape[1] - k)
@@ -238,24 +240,22 @@ def _smoothing(
     if errors is not None:
         nearest = smoothing._NEAREST * lowest
         bottoms = bottoms - torch.minimum((values / energies.gather(1, top)).clamp(min=0), nearest)
-        degrees = _degrees(bottoms[:, :k], batch.highest, errors, target, degrees)
+        least, most = torch.where(sparing, 1.0, degrees), smoothing._LONGER * degrees
+        degrees = _degrees(bottoms[:, :k], batch.highest, errors, goal, least, most)
     fills = lowest >= 0.9 * batch.highest  # the columns fill the space of the points
     degrees = torch.where(fills, 0.0, degrees)
     return batch.correction(residual, values, bottoms, degrees)
 
 
 def _degrees(
-    lowest: Tensor, highest: Tensor, errors: Tensor, target: float, least: Tensor
+    lowest: Tensor, highest: Tensor, errors: Tensor, goal: Tensor, least: Tensor, most: Tensor
 ) -> Tensor:
     """Return how many steps bring errors to the goal, (b, 1): `smoothing._degree`, batched."""
-    goal = target / (_SURE * _MORE)
     apart = ((highest + lowest) / (highest - lowest)).acosh()  # (b, k)
-    count = smoothing._LONGER * smoothing._MOST + 1
-    degrees = torch.arange(count, device=errors.device).to(errors)[None, :, None]
-    left = (errors[:, None] / (degrees * apart[:, None]).cosh() ** 2).mean(2)
-    tried = (degrees[..., 0] >= least) & (degrees[..., 0] <= smoothing._LONGER * least)
-    more = (tried & (left > goal)).sum(1, keepdim=True)
-    return torch.minimum(least + more, smoothing._LONGER * least)
+    degrees = torch.arange(1, smoothing._LONGER * smoothing._MOST + 1, device=errors.device)
+    left = (errors[:, None] / (degrees[None, :, None] * apart[:, None]).cosh() ** 2).mean(2)
+    tried = (degrees >= least) & (degrees <= most)
+    return torch.minimum(least + (tried & (left > goal)).sum(1, keepdim=True), most)
 
 
 def _excess(batch: Batch, values: Tensor, U: Tensor, residual: Tensor, falls: Tensor) -> Tensor:

@@ -181,13 +181,23 @@ def prolonged(
         smoothing = Smoothing.of(finer[i], device)
         clock.stage("prolong")
         residual = smoothing.residual(values, X)
-        step, found, gained = 0, None, 0.0
+        step, found, gained, spared = 0, None, 0.0, False
         for step in range(1, 1 + (max_steps if finest else min(max_steps, _MIDDLE))):
             before = values
+            # The target is met, but for a margin: once, no more than that is aimed at.
+            sparing = finest and not spared and bool(errors.mean() <= target)
+            spared |= sparing
             degree = _CARRIED if finest and levels and step == 1 else None
             guards = max(1, len(values) - k)
             smooth = smoothing.smoothed(
-                values, X, residual, degree=degree, guards=guards, errors=found, goal=goal
+                values,
+                X,
+                residual,
+                degree=degree,
+                guards=guards,
+                errors=found,
+                goal=target / _SURE if sparing else goal,
+                sparing=sparing,
             )
             clock.stage("smooth")
             del residual  # blocks as large as X: what is no longer needed makes room

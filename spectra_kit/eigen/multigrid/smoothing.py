@@ -68,12 +68,13 @@ class Smoothing:
         guards: int = 1,
         errors: Floats | None = None,
         goal: float = 1.0,
+        sparing: bool = False,
     ) -> Any:
         """Return columns whose errors above the last `guards` of them are damped.
 
         By as many products as that takes, `degree` or 60 at most; by up to three times as many if
-        the relative `errors` of the first eigenvalues are to fall to `goal` in the mean. See
-        `eigen.multigrid.smoothed`.
+        the relative `errors` of the first eigenvalues are to fall to `goal` in the mean, and by
+        fewer, `sparing`, if that is enough. See `eigen.multigrid.smoothed`.
         """
         ops = operations(vectors)
         last = slice(max(len(values) - guards - 1, 0), None)
@@ -88,7 +89,8 @@ class Smoothing:
         if errors is not None:
             # What is left after a first step lies just above the modes: as near as seen from each.
             bottoms -= np.clip(values / energies[top], 0.0, _NEAREST * lowest)
-            enough = _degree(bottoms[: len(errors)], self.highest, errors, goal, enough)
+            least, longest = 1 if sparing else enough, _LONGER * enough
+            enough = _degree(bottoms[: len(errors)], self.highest, errors, goal, least, longest)
         steps = chebyshev_steps(bottoms, self.highest, enough)
         return vectors + ops.correction(self.singles, residual, values, steps)
 
@@ -170,16 +172,18 @@ def smoothed(laplacian: Laplacian, values: Floats, vectors: Floats, *, degree: i
     return np.asarray(level.smoothed(values, vectors, residual, degree=degree))
 
 
-def _degree(lowest: Floats, highest: float, errors: Floats, goal: float, least: int) -> int:
-    """Return how many steps bring errors of eigenvalues to `goal` in the mean: `least` or more.
+def _degree(
+    lowest: Floats, highest: float, errors: Floats, goal: float, least: int, most: int
+) -> int:
+    """Return how many steps bring errors of eigenvalues to `goal` in the mean, between the two.
 
     The polynomial of degree d is ``cosh(d acosh(x))`` times smaller inside an interval than at a
     mode, x below it, and an error of an eigenvalue is the square of one of modes.
     """
-    degrees = np.arange(least, _LONGER * least + 1)
+    degrees = np.arange(least, most + 1)
     apart = np.arccosh((highest + lowest) / (highest - lowest))
     left = (errors / np.cosh(degrees[:, None] * apart) ** 2).mean(axis=1)
-    return min(least + int(np.count_nonzero(left > goal)), int(degrees[-1]))
+    return min(least + int(np.count_nonzero(left > goal)), most)
 
 
 def chebyshev_steps(lowest: Floats, highest: float, degree: int) -> list[tuple[Floats, Floats]]:
