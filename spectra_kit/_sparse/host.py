@@ -85,6 +85,17 @@ def lifted(Y: Block, rotation: Floats) -> Floats:
     return U
 
 
+def less(Y: Block, row: Floats) -> Floats:
+    """Return Y with `row` taken off each of its rows, in float64."""
+    U = np.empty(Y.shape)
+
+    def fill(rows: slice) -> None:
+        np.subtract(Y[rows], row, out=U[rows])
+
+    in_threads(fill, ((slice(*rows),) for rows in ranges(len(Y), _ROWS)))
+    return U
+
+
 def energies(diagonal: Floats, Y: Block) -> Floats:
     """Return the diagonal of ``Y^T D Y``."""
     return _sum_of(lambda rows: diagonal[rows] @ np.square(Y[rows]), len(Y))

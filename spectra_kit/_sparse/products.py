@@ -15,6 +15,7 @@ from spectra_kit.errors import InvalidInputError
 
 _SMALL = 200_000  # multiplications below which a thread costs more than it saves
 _ROWS = 8_192  # of one task: fixed, so that no sum depends on the threads
+_CACHED = 1_024  # rows of which NumPy's temporaries stay in the cache
 
 
 def spmm(
@@ -107,7 +108,7 @@ def residual_norms(
     weights = 1 / (np.sqrt(mass) * unit)
     if left_out is not None:
         weights[left_out] = 0.0
-    blocks = ranges(len(U), _ROWS)
+    blocks = ranges(len(U), _CACHED)
     squares = np.empty((len(blocks), U.shape[1]))
 
     def measure(i: int, start: int, stop: int) -> None:

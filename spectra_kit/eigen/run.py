@@ -18,6 +18,7 @@ from spectra_kit._core.threads import blas_threads_for
 from spectra_kit._core.types import Ints
 from spectra_kit._core.validate import quantity
 from spectra_kit._core.version import VERSION
+from spectra_kit._sparse.host import less
 from spectra_kit._sparse.orthonormal import RankError
 from spectra_kit._sparse.ritz import ritz_rotation
 from spectra_kit.eigen.accuracy import (
@@ -399,6 +400,7 @@ class _Run:
     def packed(self, spectrum: Spectrum, certificate: Certificate) -> Spectrum:
         """Return the spectrum with what is known of it, and where it comes from."""
         solver, reason = self.solver_of_most()
+        fingerprint = _fingerprint(self.laplacian)
         other = time.perf_counter() - self.start - sum(self.stages.values())
         provenance = Provenance(
             solver=self.name if solver is self.solver else repr(solver),
@@ -409,7 +411,7 @@ class _Run:
                 **self.stages,
                 "other": max(other, 0.0),  # what is in none of them
             },
-            input_hash=_fingerprint(self.laplacian),
+            input_hash=fingerprint,
             version=VERSION,
             iterations=self.iterations,
             accuracy=self.promise,
@@ -552,7 +554,7 @@ def _with_exact_constant(laplacian: Laplacian, pairs: Eigenpairs) -> Eigenpairs:
     if not laplacian.kernel_dimension or not abs(cosines @ cosines - 1) <= _CONSTANT:
         return pairs
     near = np.abs(cosines) >= min(_CONSTANT, np.abs(cosines).max())
-    values, vectors = pairs.eigenvalues.copy(), pairs.eigenvectors - constant * cosines
+    values, vectors = pairs.eigenvalues.copy(), less(pairs.eigenvectors, constant * cosines)
     # The first axis goes to the constant, the others span what else these modes span.
     axes = np.linalg.qr(cosines[near, None], mode="complete")[0]
     others = ritz_rotation(laplacian.stiffness, laplacian.mass, vectors[:, near] @ axes[:, 1:])
