@@ -11,7 +11,9 @@ from spectra_kit._core.threads import in_threads, ranges
 from spectra_kit._core.types import Floats
 
 _POINTS = 8_192  # of one task: fixed, so that no sum depends on the threads
+_CACHED = 4_096  # the same, of which three blocks stay in the cache
 _ROUNDED = 1e-15  # what is left of other vectors in one that was orthogonalised against them
+_CLEAN = 1e-14  # the same, at most, where nothing is to be gained
 _NOTHING = 1e-10  # of the norm of the operator: a new block is no larger
 _SEMI = 1e-12  # the same, at most: residuals of Ritz pairs are no smaller than that
 
@@ -37,53 +39,93 @@ class BlockLanczos:
     Golub and Underwood, *The block Lanczos method for computing eigenvalues*, 1977. In exact
     arithmetic a block is orthogonal to all but the two before it. What rounding leaves of the
     others grows in each step by the norm of the operator over that of the new block at most: before
-    it is felt, the last two blocks are orthogonalised against all others together, which takes one
-    look at these instead of two (Grimes, Lewis and Simon, *A shifted block Lanczos algorithm*,
-    1994). Vectors are rows here, whose products with a block are twice as fast; no bit of a sum
-    depends on the number of threads.
+    it is felt, a new block is orthogonalised against all others; together with the last one, where
+    that was not, which takes one look at these instead of two (Grimes, Lewis and Simon, *A shifted
+    block Lanczos algorithm*, 1994). Vectors are rows here, whose products with a block are twice as
+    fast; no bit of a sum depends on the number of threads.
     """
 
     def __init__(
         self, operator: Callable[[Floats], Floats], n: int, *, block: int, most: int, seed: int
     ) -> None:
-        self._operator, self._block = operator, block
+        self._operator, self._block, self._cuts = operator, block, ranges(n, _CACHED)
         self.size = 0  # vectors whose images are known; one more block is there
         self._basis = np.empty((most + block, n))
         self._projected = np.zeros((most + block, most + block))
-        start = np.random.default_rng(seed).standard_normal((n, block))
-        self._basis[:block] = _orthonormal(start.T)[0]
+        self._input = np.linalg.qr(np.random.default_rng(seed).standard_normal((n, block)))[0]
+        self._basis[:block] = self._input.T
         self._norm, self._new = 0.0, 0.0  # of the operator in the space, and of the last block
         self._loss = _ROUNDED  # of orthogonality of the last block, at most
 
     def step(self) -> None:
-        """Apply the operator to the last block, and append what is new in the image."""
-        block, end = self._block, self.size + self._block
-        last, following = slice(self.size, end), slice(end, end + block)
-        before = max(self.size - block, 0)
-        W = self._basis[following]
-        W[:] = self._operator(np.ascontiguousarray(self._basis[last].T)).T
-        inside = self._take_out(following, before, end)[:, -block:]
-        self._projected[last, last] = (inside + inside.T) / 2
-        self._norm = max(self._norm, float(np.linalg.norm(inside)))
-        if self._loss * self._norm > _SEMI * self._new:
-            self._take_out(slice(self.size, end + block), 0, self.size)
-            self._loss = _ROUNDED
+        """Apply the operator to the last block, and append what is new in the image.
+
+        The image is orthogonalised twice, and made orthonormal by Cholesky factors twice. What is
+        done to the same numbers is done to a range of points after the other, while it is at hand.
+        """
+        block, size, end = self._block, self.size, self.size + self._block
+        W, last = self._basis[end : end + block], self._basis[size:end]
+        recent = self._basis[max(size - block, 0) : end]
+        image = self._operator(self._input)
+
+        def taken(a: int, b: int) -> Floats:
+            W[:, a:b] = image[a:b].T
+            return W[:, a:b] @ recent[:, a:b].T
+
+        inside = self._sum(taken)
+        own = inside[:, -block:]
+        self._projected[size:end, size:end] = (own + own.T) / 2
+        self._norm = max(self._norm, float(np.linalg.norm(own)))
+        unsure = self._loss * self._norm > _SEMI * self._new
+        # With the last block, unless it was orthogonalised when it came.
+        rows = self._basis[size if unsure and self._loss > _CLEAN else end : end + block]
+        older = self._basis[:size] if unsure else recent[:-block]
+
+        def less(a: int, b: int) -> Floats:
+            part = W[:, a:b]
+            part -= inside @ recent[:, a:b]
+            others = rows[:, a:b] @ older[:, a:b].T
+            products = np.zeros((len(rows), len(older) + 2 * block))
+            products[:, : len(older)] = others
+            products[-block:, len(older) :] = part @ np.vstack([last[:, a:b], part]).T
+            return products
+
+        far, near, square = np.split(self._sum(less), [len(older), len(older) + block], axis=1)
+        near, square = near[-block:], square[-block:]
+        first = _root(square - far[-block:] @ far[-block:].T - near @ near.T)
+        turn = np.eye(block) if first is None else np.linalg.inv(first)
+
+        def turned(a: int, b: int) -> Floats:
+            rows[:, a:b] -= far @ older[:, a:b]
+            part = W[:, a:b]
+            part[:] = turn @ (part - near @ last[:, a:b])
+            return part @ part.T
+
+        square = self._sum(turned)
+        second = None if first is None else _root(square)
+        if first is None or second is None:
+            R = np.zeros((block, block))
         else:
-            self._loss *= self._norm / self._new
-        self._take_out(following, before, end)
-        try:
-            Q, R = _orthonormal(W)
-        except np.linalg.LinAlgError:
-            Q, R = W, np.zeros((block, block))
+            R, turn = (first @ second).T, np.linalg.inv(second)
         sizes = np.linalg.svd(R, compute_uv=False)
         self._norm, self._new = max(self._norm, float(sizes[0])), float(sizes[-1])
+        grows = float(sizes[0]) if unsure else self._norm
+        self._loss = (_ROUNDED if unsure else self._loss) * grows / (self._new or 1.0)
         if self._new <= _NOTHING * self._norm:  # the space is all but invariant: this is rounding
             Q, R = np.linalg.qr(W.T)
-            W[:] = Q.T
-            self._take_out(following, 0, end)
-            Q = np.linalg.qr(W.T)[0].T
-        W[:] = Q
-        self._projected[following, last], self._projected[last, following] = R, R.T
+            R = R if first is None else R @ first.T
+            others = self._basis[:end]
+            for _ in range(2):
+                Q = np.linalg.qr(Q - others.T @ (others @ Q))[0]
+            W[:], turn, self._loss = Q.T, np.eye(block), _ROUNDED
+
+        def appended(a: int, b: int) -> None:
+            W[:, a:b] = turn @ W[:, a:b]
+            self._input[a:b] = W[:, a:b].T
+
+        in_threads(appended, self._cuts)
+        self._projected[end : end + block, size:end] = R
+        self._projected[size:end, end : end + block] = R.T
         self.size = end
 
     def ritz(self) -> KrylovPairs:
@@ -98,12 +140,10 @@ class BlockLanczos:
         """Return vectors as rows, (s, n), whose coefficients are the columns of `rotation`."""
         return combined(rotation.T, self._basis[: self.size])
 
-    def _take_out(self, rows: slice, first: int, last: int) -> Floats:
-        """Subtract from rows of the basis what lies in others; return the coefficients."""
-        W, others = self._basis[rows], self._basis[first:last]
-        inside = inner(W, others)
-        W -= combined(inside, others)
-        return inside
+    def _sum(self, part: Callable[[int, int], Floats]) -> Floats:
+        """Return the sum of what is found in ranges of points."""
+        first, *others = in_threads(part, self._cuts)
+        return np.asarray(sum(others, start=first))
 
 
 def inner(A: Floats, B: Floats) -> Floats:
@@ -129,12 +169,15 @@ def combined(coefficients: Floats, A: Floats) -> Floats:
     return out
 
 
-def _orthonormal(W: Floats) -> tuple[Floats, Floats]:
-    """Return orthonormal rows Q and R with ``W = R^T Q``, by Cholesky factors of Gram matrices."""
-    size = np.linalg.norm(W, axis=1)
+def _root(gram: Floats) -> Floats | None:
+    """Return the Cholesky factor of the Gram matrix of some rows, of any lengths.
+
+    Nothing where a row is zero, or not a number, or hardly lies outside of the others.
+    """
+    size = np.sqrt(gram.diagonal().clip(0))
     if not (size > 0).all():
-        raise np.linalg.LinAlgError("a row is zero, or not a number")
-    first = np.linalg.cholesky(inner(W, W) / size / size[:, None])
-    Q = combined(np.linalg.inv(first) / size, W)
-    second = np.linalg.cholesky(inner(Q, Q))
-    return combined(np.linalg.inv(second), Q), second.T @ (first.T * size)
+        return None
+    try:
+        return np.asarray(size[:, None] * np.linalg.cholesky(gram / size / size[:, None]))
+    except np.linalg.LinAlgError:
+        return None
