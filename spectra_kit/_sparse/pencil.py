@@ -6,17 +6,23 @@ import numpy as np
 from scipy import sparse
 
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._sparse.elimination import analysed, no_memory, symmetric
+from spectra_kit._sparse.elimination import Elimination, analysed, no_memory, symmetric
 from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.errors import InvalidInputError
 
 
 class Pencil:
-    """Factors of ``L - sigma M`` for a symmetric L and a diagonal M (n,) that is positive."""
+    """Factors of ``L - sigma M`` for a symmetric L and a diagonal M (n,) that is positive.
 
-    def __init__(self, stiffness: sparse.csr_array, mass: Floats) -> None:
+    The `elimination` of a pencil with the same pattern saves finding it.
+    """
+
+    def __init__(
+        self, stiffness: sparse.csr_array, mass: Floats, elimination: Elimination | None = None
+    ) -> None:
         n = stiffness.shape[0]
-        pattern = symmetric(stiffness)
+        known = elimination is not None and elimination.serves(stiffness)
+        pattern = stiffness if known else symmetric(stiffness)
         self._diagonal = _diagonal_of(pattern)
         if len(self._diagonal) < n:
             lift = 1 + np.abs(stiffness.diagonal() / mass).max()  # no entry becomes zero
@@ -25,9 +31,11 @@ class Pencil:
         self._entries, self._mass = pattern.data.copy(), mass
         self._entries[self._diagonal] = stiffness.diagonal()
         try:
-            self._elimination = analysed(pattern)
+            if elimination is None or not elimination.serves(pattern):
+                elimination = analysed(pattern)
         except MemoryError as error:
             raise no_memory(n) from error
+        self.elimination = elimination
 
     def factor(self, sigma: float) -> SparseLDL | None:
         """Factorise ``L - sigma M``; nothing where a pivot is zero, as close to an eigenvalue."""
@@ -35,7 +43,7 @@ class Pencil:
         diagonal = entries[self._diagonal] - sigma * self._mass
         entries[self._diagonal] = diagonal
         try:
-            return SparseLDL.of_entries(entries, diagonal, self._elimination, definite=False)
+            return SparseLDL.of_entries(entries, diagonal, self.elimination, definite=False)
         except InvalidInputError:
             return None
 

@@ -12,6 +12,7 @@ from scipy import sparse
 from spectra_kit._core.clock import Clock
 from spectra_kit._core.threads import in_threads, shares, single_threaded_blas
 from spectra_kit._core.types import Floats, Singles
+from spectra_kit._sparse.elimination import Elimination
 from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit._sparse.orthonormal import RankError
 from spectra_kit._sparse.products import residuals
@@ -40,10 +41,16 @@ class Refinement(NamedTuple):
     seconds: dict[str, float]
 
 
-def shifted_factor(stiffness: sparse.csr_array, mass: Floats, sigma: float) -> SparseLDL:
+def shifted_factor(
+    stiffness: sparse.csr_array,
+    mass: Floats,
+    sigma: float,
+    elimination: Elimination | None = None,
+) -> SparseLDL:
     """Factorise ``L - sigma M``, positive definite for sigma < 0."""
+    shifted = sparse.csr_array(stiffness - sigma * sparse.diags_array(mass))
     try:
-        return SparseLDL(sparse.csr_array(stiffness - sigma * sparse.diags_array(mass)))
+        return SparseLDL(shifted, elimination=elimination)
     except InvalidInputError as error:
         raise InvalidInputError(
             "stiffness",
@@ -65,6 +72,7 @@ def shift_invert_iteration(
     degree: int = 4,
     max_sweeps: int = 30,
     seed: int = 0,
+    elimination: Elimination | None = None,
 ) -> Refinement:
     """Drive the span of `start` to the k lowest eigenpairs of ``L u = lambda M u``.
 
@@ -123,7 +131,8 @@ def shift_invert_iteration(
         guard = max(float(values[-1]), _ZERO * unit * spacing) * (1 + 2 / block)
         wanted = _SHIFT * guard
         if factor is None or not _OUTGROWN < wanted / -sigma < 1 / _OUTGROWN:
-            factor, sigma = shifted_factor(stiffness, mass, -wanted), -wanted
+            factor, sigma = shifted_factor(stiffness, mass, -wanted, elimination), -wanted
+            elimination = factor.elimination
             clock.stage("factor")
         shifted = factor, sigma, guard, degree
         probes = _filtered_noise(*shifted, mass, X, rng) if sweeps == 0 else None

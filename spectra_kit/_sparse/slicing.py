@@ -88,6 +88,7 @@ def sliced_eigenpairs(
     most_shifts: int = 1000,
     seed: int = 0,
     block: int = _BLOCK,
+    elimination: Elimination | None = None,
 ) -> Sliced:
     """Return the k lowest eigenpairs of ``L u = lambda M u``; fewer if `most_shifts` are too few.
 
@@ -111,7 +112,7 @@ def sliced_eigenpairs(
     values, X = np.empty(k), np.empty((k, len(mass)))  # rows are eigenvectors of A
     first, counted, found = 0, 0, 0  # modes below the last run, below its shift, and all
     last, ahead, reach, shifts, closer = below, min(math.ceil(share * k), _FIRST), 1.0, 0, 0
-    sigma, shared = below + guess * ahead * spacing, None
+    sigma, shared = below + guess * ahead * spacing, elimination
     with team():
         while found < k and shifts < most_shifts and closer < _CLOSER:
             top = values[found - 1] if found else last

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import quantity
 from spectra_kit._core.warn import warn
-from spectra_kit._sparse.host import gram, inner
+from spectra_kit._sparse.host import inner
 from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit._sparse.pencil import Pencil
 from spectra_kit._sparse.products import spmm
@@ -159,7 +159,7 @@ def _absolute(certificate: Certificate, spectrum: Spectrum, laplacian: Laplacian
     count, residuals = certificate.count, certificate.residuals
     verified = certificate.n_verified
     radius = count.radius if count else 0.0
-    least = rounding(laplacian)
+    least = laplacian._rounding
     alone = np.diff(values) > _CLUSTER * (residuals[1:] + residuals[:-1])
     last = np.append(np.flatnonzero(alone) + 1, k)  # of each cluster, and one more
     first = np.append(0, last[:-1])
@@ -193,22 +193,13 @@ def _inexactness(
         columns = slice(first[begin], last[end - 1])
         U = np.ascontiguousarray(spectrum.eigenvectors[:, columns])
         off = inner(U, spmm(laplacian.stiffness, U)) - np.diag(spectrum.eigenvalues[columns])
-        unlike = gram(laplacian.mass, U) - np.eye(U.shape[1])
+        unlike = spectrum._products[columns, columns] - np.eye(U.shape[1])
         inside = np.repeat(np.arange(begin, end), last[begin:end] - first[begin:end])
         within = inside[:, None] == inside
         for error, sums in ((off, skew), (unlike, apart)):
             rows = np.where(within, error**2, 0.0).sum(axis=1)
             sums[begin:end] = np.sqrt(np.add.reduceat(rows, first[begin:end] - first[begin]))
     return skew, apart
-
-
-def rounding(laplacian: Laplacian) -> float:
-    """Bound the rounding of ``M^-1/2 L M^-1/2 u``, and what one triangle hides of an asymmetry."""
-    stiffness, scale = laplacian.stiffness, 1 / np.sqrt(laplacian.mass)
-    magnitude = scale * (abs(stiffness) @ scale)
-    asymmetry = scale * (abs(stiffness - stiffness.T.tocsr()) @ scale)
-    longest = int(np.diff(stiffness.indptr).max())
-    return float((longest + 4) * _EPS * magnitude.max() + asymmetry.max())
 
 
 _WORK = 2**16  # points times counts: a tenth of a second, where smoothing takes some
@@ -254,7 +245,7 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
         if not is_hard(laplacian) or factor_gigabytes(n) > _GIGABYTES:
             return errors
         counts = max(counts, 2)
-    off = rounding(laplacian)
+    off = laplacian._rounding
     claims = values - _TIMES[0] * errors - off
     # Above a mode that is missing, each gap has one more below it; within a cluster none tells.
     some = np.arange(k)

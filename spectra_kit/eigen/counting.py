@@ -7,14 +7,12 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
 from spectra_kit._core.types import Floats
-from spectra_kit._sparse.host import gram
 from spectra_kit._sparse.pencil import Pencil
-from spectra_kit.eigen.accuracy import rounding, with_bounds, with_excess
+from spectra_kit.eigen.accuracy import with_bounds, with_excess
 from spectra_kit.eigen.certificate import Certificate, ModeCount
 from spectra_kit.eigen.spectrum import Spectrum, certificate_of
 from spectra_kit.operators.laplacian import Laplacian
@@ -162,8 +160,7 @@ class _Prover:
     proved and refuted so far is kept.
     """
 
-    stiffness: sparse.csr_array
-    mass: Floats
+    laplacian: Laplacian
     spacing: float
     values: Floats
     radii: Floats
@@ -179,8 +176,7 @@ class _Prover:
             spectrum = Spectrum(spectrum.eigenvalues, vectors, spectrum.mass[free])
             laplacian = replace(laplacian.restricted(free), seconds=0.0)
         return cls(
-            laplacian.stiffness,
-            laplacian.mass,
+            laplacian,
             laplacian.eigenvalue_spacing,
             spectrum.eigenvalues,
             _radii(spectrum, laplacian, certificate.residuals),
@@ -188,7 +184,8 @@ class _Prover:
 
     @cached_property
     def _pencil(self) -> Pencil:
-        return Pencil(self.stiffness, self.mass)
+        laplacian = self.laplacian
+        return Pencil(laplacian.stiffness, laplacian.mass, laplacian._elimination)
 
     def prove(self, *, thorough: bool = True) -> ModeCount:
         """Find the largest number of leading modes that a count confirms.
@@ -249,7 +246,7 @@ class _Prover:
         """Count the eigenvalues below the first shift that rounding leaves between j modes."""
         lowest = float(self.values[j - 1] + self.radii[j - 1]) if j else -np.inf
         highest = float(self.values[j]) if j < len(self.values) else np.inf
-        found = None
+        found, laplacian = None, self.laplacian
         for sigma in self._shifts(j, below_next):
             if not lowest < sigma < highest:
                 continue
@@ -257,8 +254,8 @@ class _Prover:
             if factor is None:
                 continue
             # And what rounds the diagonal of L - sigma M.
-            largest = np.abs(self.stiffness.diagonal() / self.mass).max()
-            error = factor.backward_error(self.mass) + float(_EPS * (sigma + largest))
+            largest = np.abs(laplacian.stiffness.diagonal() / laplacian.mass).max()
+            error = factor.backward_error(laplacian.mass) + float(_EPS * (sigma + largest))
             if sigma - error > lowest:
                 # What counts as zero may be negative: no more than both lie below.
                 negative, zero, _ = factor.inertia
@@ -313,14 +310,13 @@ def _radii(spectrum: Spectrum, laplacian: Laplacian, residuals: Floats) -> Float
 
     Infinite from the first mode on that is not orthonormal to those before it.
     """
-    U, mass = spectrum.eigenvectors, laplacian.mass
     k = spectrum.k
-    squared = (gram(mass, U) - np.eye(k)) ** 2
+    squared = (spectrum._products - np.eye(k)) ** 2
     # Of each leading block of U^T M U - I, the Frobenius norm; with the rounding of the sums of
     # n products: at most (n + 1) eps in each entry, and j + 1 times that in the norm of a block.
-    rounded = (len(mass) + 1) * _EPS * np.arange(1, k + 1)
+    rounded = (laplacian.n + 1) * _EPS * np.arange(1, k + 1)
     skew = np.sqrt(np.diag(squared.cumsum(axis=0).cumsum(axis=1))) + rounded
-    residual = np.sqrt(np.cumsum((residuals + rounding(laplacian)) ** 2))
+    residual = np.sqrt(np.cumsum((residuals + laplacian._rounding) ** 2))
     # With Q = U (U^T M U)^-1/2 in place of U, commuting with Lambda costs at most lambda * skew.
     radii = (1 + skew) ** 2 * (residual + spectrum.eigenvalues * skew)
     return np.where(skew < 0.5, radii, np.inf)

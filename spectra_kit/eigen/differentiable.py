@@ -18,7 +18,7 @@ from torch import Tensor
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._sparse.torch_device import csr_like
-from spectra_kit.eigen.accuracy import error_units, rounding
+from spectra_kit.eigen.accuracy import error_units
 from spectra_kit.eigen.automatic import Automatic
 from spectra_kit.eigen.base import Eigensolver
 from spectra_kit.eigen.solve import eigensolve
@@ -397,7 +397,7 @@ def _errors(spectrum: Spectrum, laplacian: Laplacian) -> Floats:
     """Return how far each eigenvalue may be off, in 1/length^2: by rounding at least."""
     certificate = spectrum.certificate
     assert certificate is not None
-    least = np.full(spectrum.k, rounding(laplacian))
+    least = np.full(spectrum.k, laplacian._rounding)
     if certificate.errors is None:
         return least
     units = error_units(certificate, spectrum.eigenvalues, laplacian)

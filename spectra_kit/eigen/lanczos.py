@@ -104,7 +104,7 @@ class Arpack(_ShiftInvert):
             return _crowded(laplacian, k)
         sigma = -self.shift * laplacian.eigenvalue_spacing
         clock = Clock()
-        factor = shifted_factor(laplacian.stiffness, laplacian.mass, sigma)
+        factor = shifted_factor(laplacian.stiffness, laplacian.mass, sigma, laplacian._elimination)
         clock.stage("factor")
         # ARPACK takes a Ritz value below eps^(2/3) = 4e-11 for converged when it is so absolutely,
         # not relatively: in units of the spacing they are all far above that, whatever the input's.
@@ -213,6 +213,8 @@ class Lanczos(_ShiftInvert):
             return _crowded(laplacian, k)
         if not _has_room(laplacian.n, k):
             return _densely(laplacian, k, f"{laplacian.n} points are few")
+        clock, elimination = Clock(), laplacian._elimination
+        clock.stage("factor")
         solved = partial(
             sliced_eigenpairs,
             laplacian.stiffness,
@@ -223,13 +225,14 @@ class Lanczos(_ShiftInvert):
             tol=min(self.tol, _LOOSEST),
             most_shifts=self.max_shifts,
             seed=self.seed,
+            elimination=elimination,
         )
         found = solved()
-        seconds = found.seconds
+        seconds = Counter(clock.seconds) + Counter(found.seconds)
         if len(found.eigenvalues) < k and found.shifts < self.max_shifts:  # a cluster stops it
             found = solved(block=WIDE)
-            seconds = dict(Counter(seconds) + Counter(found.seconds))
-        pairs = Eigenpairs(found.eigenvalues, found.eigenvectors, seconds, solver=self)
+            seconds += Counter(found.seconds)
+        pairs = Eigenpairs(found.eigenvalues, found.eigenvectors, dict(seconds), solver=self)
         if len(pairs.eigenvalues) == k:
             return pairs
         told = (

@@ -23,7 +23,6 @@ from spectra_kit._sparse.orthonormal import RankError
 from spectra_kit._sparse.ritz import ritz_rotation
 from spectra_kit.eigen.accuracy import (
     counted_errors,
-    rounding,
     with_bounds,
     with_excess,
 )
@@ -97,7 +96,10 @@ def solve(
     """
     if any(units := Units.of(laplacian)):
         return _in_units(units, laplacian, k, solver)
-    return _Run(laplacian, k, solver, begun).solved()
+    try:
+        return _Run(laplacian, k, solver, begun).solved()
+    finally:
+        laplacian._forget()
 
 
 def _in_units(units: Units, laplacian: Laplacian, k: int, solver: Eigensolver) -> Spectrum:
@@ -343,7 +345,7 @@ class _Run:
         pairs = _of_checked_form(pairs, solver, (laplacian.n, k))
         self.count(pairs, time.perf_counter() - start)
         lowest = pairs.eigenvalues.min()
-        if lowest < -_NEGATIVE * laplacian.eigenvalue_spacing and lowest < -rounding(laplacian):
+        if lowest < -_NEGATIVE * laplacian.eigenvalue_spacing and lowest < -laplacian._rounding:
             raise InvalidSpectrumError(
                 f"{solver!r} returned a negative eigenvalue ({pairs.eigenvalues.min():.3e})",
                 advice="is the stiffness positive semi-definite? (Where entries spread over many"

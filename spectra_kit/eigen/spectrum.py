@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,7 +20,7 @@ from spectra_kit._core.shown import draw
 from spectra_kit._core.threads import blas_threads_for
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, check_positive, quantity
-from spectra_kit._sparse.host import energies, gram
+from spectra_kit._sparse.host import gram
 from spectra_kit._sparse.products import residual_norms
 from spectra_kit.eigen.certificate import Certificate, ModeCount, Provenance
 from spectra_kit.eigen.spectrum_file import REMEDY, read_spectrum_file, write_spectrum_file
@@ -205,10 +206,6 @@ class Spectrum(Rebuilt):
         which has the points and the mass of the spectrum. Rows of fixed (Dirichlet) points are left
         out: there u is prescribed, not solved for.
         """
-        return self._residuals(laplacian, energies(self.mass, self.eigenvectors))
-
-    def _residuals(self, laplacian: Laplacian, squared: Floats) -> Floats:
-        """Return the `residuals` of modes whose squared norms are known."""
         self._check_belongs_to(laplacian)
         norms = residual_norms(
             laplacian.stiffness,
@@ -217,6 +214,7 @@ class Spectrum(Rebuilt):
             self.eigenvectors,
             left_out=laplacian.fixed,
         )
+        squared = self._products.diagonal()
         if not squared.all():
             raise InvalidSpectrumError("eigenvectors", "not hold a column of zeros")
         return np.asarray(norms / np.sqrt(squared))
@@ -246,9 +244,14 @@ class Spectrum(Rebuilt):
                 advice="they belong to another boundary condition",
             )
 
+    @cached_property
+    def _products(self) -> Floats:
+        """``U^T M U``."""
+        return frozen(gram(self.mass, self.eigenvectors))
+
     def orthonormality_error(self) -> float:
         """Return the largest entry of ``|U^T M U - I|``; 0 without any modes."""
-        return _off_identity(gram(self.mass, self.eigenvectors))
+        return float(np.abs(self._products - np.eye(self.k)).max(initial=0.0))
 
     def certify(self, laplacian: Laplacian) -> Spectrum:
         """Return this spectrum with a `Certificate`, whoever computed it.
@@ -399,21 +402,16 @@ class Spectrum(Rebuilt):
 
 def certificate_of(spectrum: Spectrum, laplacian: Laplacian) -> Certificate:
     """Return what `Spectrum.certify` finds."""
-    products = gram(spectrum.mass, spectrum.eigenvectors)
-    residuals = spectrum._residuals(laplacian, products.diagonal())
+    residuals = spectrum.residuals(laplacian)
     spacing = spectrum._spacings(laplacian)
     return Certificate(
         residuals=residuals,
         relative_residuals=residuals / np.maximum(spectrum.eigenvalues, spacing),
-        orthonormality_error=_off_identity(products),
+        orthonormality_error=spectrum.orthonormality_error(),
         n_zero_modes=spectrum._kernel_modes(laplacian),
         kernel_dimension=laplacian.kernel_dimension,
         n_components=laplacian.n_components,
     )
-
-
-def _off_identity(matrix: Floats) -> float:
-    return float(np.abs(matrix - np.eye(len(matrix))).max(initial=0.0))
 
 
 def _check_covers(certificate: Certificate | None, k: int) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +18,11 @@ from spectra_kit._core.validate import check_indices, check_mass, check_points
 from spectra_kit._sparse._checks import asymmetry
 from spectra_kit.errors import InvalidInputError
 
-_ROUNDING = 32 * float(np.finfo(np.float64).eps)  # of the sums of rows, relative to magnitudes
+if TYPE_CHECKING:
+    from spectra_kit._sparse.elimination import Elimination
+
+_EPS = float(np.finfo(np.float64).eps)
+_ROUNDING = 32 * _EPS  # of the sums of rows, relative to magnitudes
 
 
 @checked
@@ -113,6 +117,25 @@ class Laplacian(Rebuilt):
         labels, (diagonal, beside) = self.component_labels[self.free], self._held
         typical = _typical(diagonal[self.free], beside[self.free], labels)
         return frozen(typical / np.bincount(labels, self.mass[self.free]))
+
+    @cached_property
+    def _elimination(self) -> Elimination:
+        """What all factors of ``L - sigma M`` share; `_forget` it, as it is as large as L."""
+        from spectra_kit._sparse.pencil import Pencil
+
+        return Pencil(self.stiffness, self.mass).elimination
+
+    def _forget(self) -> None:
+        vars(self).pop("_elimination", None)
+
+    @cached_property
+    def _rounding(self) -> float:
+        """Bound on rounding in ``M^-1/2 L M^-1/2 u``, and what one triangle hides of asymmetry."""
+        L, scale = self.stiffness, 1 / np.sqrt(self.mass)
+        magnitude = scale * (abs(L) @ scale)
+        asymmetry = scale * (abs(L - L.T.tocsr()) @ scale)
+        longest = int(np.diff(L.indptr).max())
+        return float((longest + 4) * _EPS * magnitude.max() + asymmetry.max())
 
     @property
     def _held(self) -> tuple[Floats, Floats]:

@@ -10,6 +10,7 @@ from conftest import Backend, bumpy, creature, joined, moved, refused, two_parts
 from scipy import sparse
 
 import spectra_kit as sk
+from spectra_kit._sparse import _degree_kernels
 from spectra_kit.eigen import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.geometry import rectangle, sphere, torus
 
@@ -338,3 +339,18 @@ def test_a_used_neo_pickles_small(bumpy_laplacian: sk.Laplacian) -> None:
     sent = pickle.dumps(solver)
     assert len(sent) < 1000
     assert repr(pickle.loads(sent)) == repr(solver)
+
+
+@pytest.mark.parametrize("solver", [sk.Arpack(), sk.Lanczos(), sk.Refined()], ids=repr)
+def test_an_order_of_elimination_is_found_once_and_not_kept(animal, monkeypatch, solver) -> None:
+    orders, find = [], _degree_kernels.eliminate
+
+    def noted(*pattern):
+        orders.append(find(*pattern))
+        return orders[-1]
+
+    monkeypatch.setattr(_degree_kernels, "eliminate", noted)
+    found = sk.eigensolve(animal, 40, solver)
+    assert found.certificate.level == "verified"
+    assert len(orders) == 1
+    assert "_elimination" not in vars(animal)

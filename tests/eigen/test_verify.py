@@ -219,7 +219,8 @@ def test_a_pivot_lost_in_rounding_may_be_negative() -> None:
         a, c = rng.uniform(1, 2, 2).astype(np.float32).astype(float)
         b = np.sqrt(a * c)
         stiffness = sparse.csr_array([[a + 1, b], [b, c + 1]])
-        prover = _Prover(stiffness, np.ones(2), 1000.0, np.zeros(1), np.zeros(1))
+        laplacian = sk.Laplacian(stiffness, np.ones(2), np.zeros((2, 3)))
+        prover = _Prover(laplacian, 1000.0, np.zeros(1), np.zeros(1))
         try:
             factor = SparseLDL(sparse.csr_array([[a, b], [b, c]]), definite=False)
         except sk.InvalidInputError:  # an exact zero
