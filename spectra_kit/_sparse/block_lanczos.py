@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 from spectra_kit._core.threads import in_threads, ranges
 from spectra_kit._core.types import Floats
@@ -54,7 +55,10 @@ class BlockLanczos:
         self._projected = np.zeros((most + block, most + block))
         self._input = np.linalg.qr(np.random.default_rng(seed).standard_normal((n, block)))[0]
         self._basis[:block] = self._input.T
-        self._norm, self._new = 0.0, 0.0  # of the operator in the space, and of the last block
+        self._norm, self._new = (
+            0.0,
+            0.0,
+        )  # of the operator there, and least of the last block
         self._loss = _ROUNDED  # of orthogonality of the last block, at most
 
     def step(self) -> None:
@@ -93,23 +97,23 @@ class BlockLanczos:
         far, near, square = np.split(self._sum(less), [len(older), len(older) + block], axis=1)
         near, square = near[-block:], square[-block:]
         first = _root(square - far[-block:] @ far[-block:].T - near @ near.T)
-        turn = np.eye(block) if first is None else np.linalg.inv(first)
+        once = np.eye(block) if first is None else _inverse(first)
 
         def turned(a: int, b: int) -> Floats:
             rows[:, a:b] -= far @ older[:, a:b]
             part = W[:, a:b]
-            part[:] = turn @ (part - near @ last[:, a:b])
+            part[:] = once @ (part - near @ last[:, a:b])
             return part @ part.T
 
         square = self._sum(turned)
         second = None if first is None else _root(square)
-        if first is None or second is None:
-            R = np.zeros((block, block))
-        else:
-            R, turn = (first @ second).T, np.linalg.inv(second)
-        sizes = np.linalg.svd(R, compute_uv=False)
-        self._norm, self._new = max(self._norm, float(sizes[0])), float(sizes[-1])
-        grows = float(sizes[0]) if unsure else self._norm
+        R, again, self._new = np.zeros((block, block)), np.eye(block), 0.0
+        if first is not None and second is not None:
+            R, again = (first @ second).T, _inverse(second)
+            self._new = 1 / float(np.linalg.norm(again @ once))
+        largest = float(np.linalg.norm(R))
+        self._norm = max(self._norm, largest)
+        grows = largest if unsure else self._norm
         self._loss = (_ROUNDED if unsure else self._loss) * grows / (self._new or 1.0)
         if self._new <= _NOTHING * self._norm:  # the space is all but invariant: this is rounding
             Q, R = np.linalg.qr(W.T)
@@ -117,10 +121,10 @@ class BlockLanczos:
             others = self._basis[:end]
             for _ in range(2):
                 Q = np.linalg.qr(Q - others.T @ (others @ Q))[0]
-            W[:], turn, self._loss = Q.T, np.eye(block), _ROUNDED
+            W[:], again, self._loss = Q.T, np.eye(block), _ROUNDED
 
         def appended(a: int, b: int) -> None:
-            W[:, a:b] = turn @ W[:, a:b]
+            W[:, a:b] = again @ W[:, a:b]
             self._input[a:b] = W[:, a:b].T
 
         in_threads(appended, self._cuts)
@@ -177,7 +181,10 @@ def _root(gram: Floats) -> Floats | None:
     size = np.sqrt(gram.diagonal().clip(0))
     if not (size > 0).all():
         return None
-    try:
-        return np.asarray(size[:, None] * np.linalg.cholesky(gram / size / size[:, None]))
-    except np.linalg.LinAlgError:
-        return None
+    root, failed = dpotrf(gram / size / size[:, None], lower=True)  # without NumPy's 30 µs
+    return None if failed else np.asarray(size[:, None] * root)
+
+
+def _inverse(lower: Floats) -> Floats:
+    """Return the inverse of a lower triangle."""
+    return np.asarray(dtrtri(lower, lower=True)[0])

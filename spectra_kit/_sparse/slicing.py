@@ -30,9 +30,12 @@ _GUESS = 0.8
 _BELOW = 0.5  # share of the wanted modes below the first shift
 _FIRST = 80  # the same, at most
 # Vectors that find one mode more, once some have converged, and for each digit of the tolerance
-# before that, on shapes of 1,000 to 8,000 points, for 30 to 400 modes. A look at what has converged
-# costs as much as several steps.
-_EACH, _DIGIT = 2, 8
+# before that, on shapes of 1,000 to 8,000 points, for 30 to 400 modes; and how many steps more or
+# fewer some shapes take.
+_EACH, _DIGIT, _SPREAD = 2, 8, 2
+# A look at what has converged grows with the cube of the vectors, a step with these and the points.
+# Where the square of the vectors is so many times the points, it costs two steps.
+_DEAR = 8
 _ONE_SIDED = 0.7  # of what the first run reached above its shift, others reach to either side
 _SAFE = 0.8  # of what the last run reached, the next is asked for
 _DENSITY = 100  # modes whose distance tells where the next are
@@ -196,6 +199,8 @@ class _Run:
         border = max(_BORDER, self._tol**2) * (self._sigma - last)
         below = max(number - len(known), 0)
         due = vectors_for(below + above, self._tol)
+        dear = due**2 > _DEAR * self._factor.n
+        due += (_SPREAD if dear else -_SPREAD) * self._block
         while krylov.size < self._most:
             krylov.step()
             if krylov.size < min(due, enough, self._most):
@@ -206,7 +211,8 @@ class _Run:
             missing = max(above - len(self.above), 0)
             if cut is not None and (not missing or krylov.size >= enough):
                 break
-            due = krylov.size + _EACH * (missing + max(below - len(self.below), 0))
+            lacking = missing + max(below - len(self.below), 0)
+            due = krylov.size + (_EACH * lacking if dear else 0)
         return cut
 
     def pairs(self, kept: NDArray[np.intp]) -> tuple[Floats, Floats]:
