@@ -38,8 +38,8 @@ class SparseLDL:
     A multifrontal factorisation in the order of `minimum_degree`; eight right-hand sides take less
     than twice the time of one, so give it all there are at once. Compiled loops release the
     interpreter lock, in threads. The bits of a solution depend neither on the number of threads nor
-    on the other right-hand sides. On operators of surfaces CHOLMOD from a wheel took five to seven
-    times as long for a factor.
+    on the other right-hand sides. On meshes of 20,000 and 100,000 vertices, with one thread, the
+    CHOLMOD of the wheel cholespy 2.2.0 takes 2.1 and 2.3 times as long for a factor.
     """
 
     def __init__(
