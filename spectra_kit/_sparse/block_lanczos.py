@@ -44,14 +44,21 @@ class BlockLanczos:
     """
 
     def __init__(
-        self, operator: Callable[[Floats], Floats], n: int, *, block: int, most: int, seed: int
+        self,
+        operator: Callable[[Floats], Floats],
+        n: int,
+        *,
+        block: int,
+        most: int,
+        seed: int,
+        apart: float = _SEMI,
     ) -> None:
-        self._operator, self._block = operator, block
+        self._operator, self._block, self._apart = operator, block, apart
         self.size = 0  # vectors whose images are known; one more block is there
         self._basis = np.empty((most + block, n))
         self._projected = np.zeros((most + block, most + block))
         start = np.random.default_rng(seed).standard_normal((n, block))
-        self._basis[:block] = _orthonormal(start.T)[0]
+        self._basis[:block] = _orthonormal(start.T, apart)[0]
         self._norm, self._new = 0.0, 0.0  # of the operator in the space, and of the last block
         self._loss = _ROUNDED  # of orthogonality of the last block, at most
 
@@ -65,14 +72,14 @@ class BlockLanczos:
         inside = self._take_out(following, before, end)[:, -block:]
         self._projected[last, last] = (inside + inside.T) / 2
         self._norm = max(self._norm, float(np.linalg.norm(inside)))
-        if self._loss * self._norm > _SEMI * self._new:
+        if self._loss * self._norm > self._apart * self._new:
             self._take_out(slice(self.size, end + block), 0, self.size)
             self._loss = _ROUNDED
         else:
             self._loss *= self._norm / self._new
         self._take_out(following, before, end)
         try:
-            Q, R = _orthonormal(W)
+            Q, R = _orthonormal(W, self._apart)
         except np.linalg.LinAlgError:
             Q, R = W, np.zeros((block, block))
         sizes = np.linalg.svd(R, compute_uv=False)
@@ -129,12 +136,15 @@ def combined(coefficients: Floats, A: Floats) -> Floats:
     return out
 
 
-def _orthonormal(W: Floats) -> tuple[Floats, Floats]:
+def _orthonormal(W: Floats, apart: float) -> tuple[Floats, Floats]:
     """Return orthonormal rows Q and R with ``W = R^T Q``, by Cholesky factors of Gram matrices."""
     size = np.linalg.norm(W, axis=1)
     if not (size > 0).all():
         raise np.linalg.LinAlgError("a row is zero, or not a number")
     first = np.linalg.cholesky(inner(W, W) / size / size[:, None])
     Q = combined(np.linalg.inv(first) / size, W)
-    second = np.linalg.cholesky(inner(Q, Q))
+    gram = inner(Q, Q)
+    if np.abs(gram - np.eye(len(Q))).max() <= apart:
+        return Q, first.T * size
+    second = np.linalg.cholesky(gram)
     return combined(np.linalg.inv(second), Q), second.T @ (first.T * size)
