@@ -142,9 +142,14 @@ def taper(points: Floats, amount: float) -> Floats:
     return np.column_stack([x, scale * y, scale * z])
 
 
-def warped(points: Floats, rng: np.random.Generator, likely: float) -> Floats:
-    """Stretch, bend, twist, taper along random axes: each with its own share of `likely`."""
-    if rng.random() < 0.6 * likely:
+def warped(
+    points: Floats, rng: np.random.Generator, likely: float, *, stretched: bool = False
+) -> Floats:
+    """Stretch, bend, twist, taper along random axes: each with its own share of `likely`.
+
+    Unless they are to be `stretched` in any case.
+    """
+    if rng.random() < 0.6 * likely or stretched:
         points = points * np.exp(rng.normal(scale=0.22, size=3))
     for deform, share, most in ((bend, 0.35, 1.8), (twist, 0.25, 1.8), (taper, 0.25, 0.45)):
         if rng.random() < share * likely:
@@ -201,7 +206,7 @@ def raised(mesh: TriangleMesh, height: Floats | float) -> TriangleMesh:
 def at_resolution(
     mesh: TriangleMesh, rng: np.random.Generator, *, fewest: int, most: int
 ) -> TriangleMesh:
-    """Return the largest part of a mesh, with `fewest` to `most` vertices, or somewhat fewer.
+    """Return a mesh that is `connected` with `fewest` to `most` vertices, or somewhat fewer.
 
     Vertices and triangles stay as uneven as they are where their number fits. Of finer meshes, the
     vertices in the cells of a grid are joined, down to a number drawn at random, of all scales
@@ -209,20 +214,20 @@ def at_resolution(
     """
     wanted = round(float(np.exp(rng.uniform(np.log(fewest), np.log(most)))))
     evenly = rng.random() < 0.5
-    part = connected(mesh)
-    if part.n < fewest:
-        part = _subdivided(part, fewest, evenly)
-    return part if part.n <= most else _clustered(part, wanted)
+    if mesh.n < fewest:
+        mesh = _subdivided(mesh, fewest, evenly)
+    return mesh if mesh.n <= most else _clustered(mesh, wanted)
 
 
 def connected(mesh: TriangleMesh) -> TriangleMesh:
     """Return the largest part of a mesh without doubled vertices and faces, or faces of no area."""
     merged = mesh.with_merged_vertices()
-    proper = (merged.faces != np.roll(merged.faces, 1, axis=1)).all(axis=1)
-    if not proper.any():
-        raise InvalidInputError("mesh", "have a face of three vertices", "none")
-    sound = TriangleMesh(merged.points, merged.faces[proper]).without_degenerate_faces()
-    return largest_component(sound.without_duplicate_faces()).mesh
+    faces = merged.faces[~merged.degenerate_faces()]
+    if not len(faces):
+        raise InvalidInputError("mesh", "have a face of some area", "none")
+    low, middle, high = np.sort(faces, axis=1).T
+    faces = faces[np.unique((low * merged.n + middle) * merged.n + high, return_index=True)[1]]
+    return largest_component(TriangleMesh(merged.points, faces)).mesh
 
 
 def _subdivided(mesh: TriangleMesh, fewest: int, evenly: bool) -> TriangleMesh:
@@ -242,8 +247,8 @@ def _clustered(mesh: TriangleMesh, wanted: int) -> TriangleMesh:
     Any mesh can be so decimated; libigl's edge collapses never end on some.
     """
     size = 0.5 * float(np.sqrt(mesh.area / wanted))
-    while len(np.unique(cells := _cells(mesh.points, size))) > wanted:
-        size *= 1.05
+    while (n := len(np.unique(cells := _cells(mesh.points, size)))) > wanted:
+        size *= max(1.02, np.sqrt(n / wanted))  # as on a plane, where cells are many
     which = np.unique(cells, return_inverse=True)[1]
     counts = np.bincount(which)
     sums = np.column_stack([np.bincount(which, axis) for axis in mesh.points.T])
