@@ -14,6 +14,11 @@ _POINTS = 8_192  # of one task: fixed, so that no sum depends on the threads
 _ROUNDED = 1e-15  # what is left of other vectors in one that was orthogonalised against them
 _NOTHING = 1e-10  # of the norm of the operator: a new block is no larger
 _SEMI = 1e-12  # the same, at most: residuals of Ritz pairs are no smaller than that
+# Where these may be larger: the projection is still rounded as if the vectors were orthogonal
+# (Simon, *The Lanczos algorithm with partial reorthogonalization*, 1984).
+_SEMI_LOOSE = 1e-8
+# Of the operator, by which a loose start is multiplied: three solves of a block save two steps.
+_POWERS = 3
 
 
 class KrylovPairs(NamedTuple):
@@ -39,8 +44,8 @@ class BlockLanczos:
     others grows in each step by the norm of the operator over that of the new block at most: before
     it is felt, the last two blocks are orthogonalised against all others together, which takes one
     look at these instead of two (Grimes, Lewis and Simon, *A shifted block Lanczos algorithm*,
-    1994). Vectors are rows here, whose products with a block are twice as fast; no bit of a sum
-    depends on the number of threads.
+    1994). A `loose` space is for residuals above 1e-6. Vectors are rows here, whose products with a
+    block are twice as fast; no bit of a sum depends on the number of threads.
     """
 
     def __init__(
@@ -51,14 +56,20 @@ class BlockLanczos:
         block: int,
         most: int,
         seed: int,
-        apart: float = _SEMI,
+        loose: bool = False,
     ) -> None:
-        self._operator, self._block, self._apart = operator, block, apart
+        self._operator, self._block = operator, block
+        self._apart = _SEMI_LOOSE if loose else _SEMI
         self.size = 0  # vectors whose images are known; one more block is there
         self._basis = np.empty((most + block, n))
         self._projected = np.zeros((most + block, most + block))
         start = np.random.default_rng(seed).standard_normal((n, block))
-        self._basis[:block] = _orthonormal(start.T, apart)[0]
+        if loose:
+            for _ in range(_POWERS):
+                start = operator(start)
+            self._basis[:block] = np.linalg.qr(start)[0].T
+        else:
+            self._basis[:block] = _orthonormal(start.T, _SEMI)[0]
         self._norm, self._new = 0.0, 0.0  # of the operator in the space, and of the last block
         self._loss = _ROUNDED  # of orthogonality of the last block, at most
 

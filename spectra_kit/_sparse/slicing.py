@@ -32,15 +32,13 @@ _FIRST = 80  # the same, at most
 # before that, on shapes of 1,000 to 8,000 points, for 30 to 400 modes. A look at what has converged
 # costs as much as several steps.
 _EACH, _DIGIT = 2, 8
+_LOOSE_EACH, _LOOSE_DIGIT = 1.5, 10  # nine times of ten, of 6 to 96 modes
 _ONE_SIDED = 0.7  # of what the first run reached above its shift, others reach to either side
 _SAFE = 0.8  # of what the last run reached, the next is asked for
 _DENSITY = 100  # modes whose distance tells where the next are
 _ROUNDING = 1e-12  # residuals of the inverse, relative to its eigenvalues
 _LOOSEST = 1e-2  # the same: its square is the error of an eigenvalue
 _SHARED = 1e-6  # the same: its square, of what runs share, is rounding
-# Products of the vectors of a space with a loose tolerance, at most: its projection is then rounded
-# as if they were orthogonal (Simon, *The Lanczos algorithm with partial reorthogonalization*, 1984).
-_SEMI_ORTHOGONAL = 1e-8
 _BORDER = 1e-7  # of the distance of two shifts: a narrower gap may be one within a cluster
 _ACCURATE = 1e-10  # backward error of a solution, entry by entry
 # Times as many modes below a shift as expected are too many for one run. With a guess of 2, which
@@ -163,7 +161,8 @@ def sliced_eigenpairs(
 
 def vectors_for(modes: int, tol: float) -> float:
     """Return about how many vectors of a space find so many modes."""
-    return _EACH * modes - _DIGIT * math.log10(min(max(tol, _ROUNDING), _LOOSEST))
+    each, digit = (_LOOSE_EACH, _LOOSE_DIGIT) if tol > _SHARED else (_EACH, _DIGIT)
+    return each * modes - digit * math.log10(min(max(tol, _ROUNDING), _LOOSEST))
 
 
 def _factor(pencil: Pencil, sigma: float) -> SparseLDL | None:
@@ -184,10 +183,8 @@ class _Run:
         self._factor, self._sigma, self._tol, self._block = factor, sigma, tol, block
         self._loose = tol > _SHARED
         self._most = min(_STEPS, factor.n // (2 * block)) * block
-        apart = {"apart": _SEMI_ORTHOGONAL} if self._loose else {}
-        self._krylov = BlockLanczos(
-            factor.solve, factor.n, block=block, most=self._most, seed=seed, **apart
-        )
+        sizes = {"block": block, "most": self._most, "loose": self._loose}
+        self._krylov = BlockLanczos(factor.solve, factor.n, **sizes, seed=seed)
 
     def until(self, known: Floats, number: int, last: float, above: int) -> int | None:
         """Go on until `above` modes have converged above the shift, and all below it.

@@ -182,9 +182,7 @@ FAMILIES: dict[str, tuple[Callable[[Rng], TriangleMesh], float]] = {
 _RIGID = {"machined", "assembly", "vessel", "furniture", "vehicle"}
 
 
-def deformed(
-    mesh: TriangleMesh, family: str, rng: Rng, *, stretched: bool = False
-) -> TriangleMesh:
+def deformed(mesh: TriangleMesh, family: str, rng: Rng, *, stretched: bool = False) -> TriangleMesh:
     """Stretch, bend, twist, taper, wrinkle or pierce: each with its own probability.
 
     It may be `stretched` in any case.

@@ -351,9 +351,7 @@ def make_surface(
         mesh = deformed(body(name, (config.seed, number, attempt)), name, rng, **again)
     else:
         real = _whole_real if whole else _real
-        mesh = varied(
-            real(open_pool(config.pool, config.pool_split), source["pool"]), rng, **again
-        )
+        mesh = varied(real(open_pool(config.pool, config.pool_split), source["pool"]), rng, **again)
     if not source["mesh"]:
         return mesh
     rng = np.random.default_rng((*seed, 3))
