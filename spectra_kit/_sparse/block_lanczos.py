@@ -17,8 +17,8 @@ _SEMI = 1e-12  # the same, at most: residuals of Ritz pairs are no smaller than 
 # Where these may be larger: the projection is still rounded as if the vectors were orthogonal
 # (Simon, *The Lanczos algorithm with partial reorthogonalization*, 1984).
 _SEMI_LOOSE = 1e-8
-# Of the operator, by which a loose start is multiplied: three solves of a block save two steps.
-_POWERS = 3
+# Of the operator, by which a loose start is multiplied: four solves of a block save five steps.
+_POWERS = 4
 
 
 class KrylovPairs(NamedTuple):

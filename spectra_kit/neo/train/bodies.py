@@ -42,12 +42,17 @@ class Body:
 
     def __init__(self) -> None:
         self.fields: list[clay.Field] = []
+        self.limbs: list[Floats] = []
+        self.balls: list[Floats] = []
         self.cuts: list[clay.Field] = []
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
 
     def add(self, field: clay.Field, centre: Floats, reach: Floats | float) -> None:
         """Add a field that is positive `reach` from its centre on."""
         self.fields.append(field)
+        self._hold(centre, reach)
+
+    def _hold(self, centre: Floats, reach: Floats | float) -> None:
         self.low = np.minimum(self.low, centre - reach)
         self.high = np.maximum(self.high, centre + reach)
 
@@ -56,15 +61,29 @@ class Body:
         pairs = zip(joints[:-1], joints[1:], radii[:-1], radii[1:], strict=True)
         for a, b, ra, rb in pairs:
             centre, reach = (a + b) / 2, np.abs(b - a) / 2 + max(ra, rb)
-            self.add(clay.limb(a, b, ra, rb), centre, reach)
+            self.limbs.append(np.concatenate([a, b, [ra, rb]]))
+            self._hold(centre, reach)
 
     def ball(self, centre: Floats, radii: Floats, rotation: Floats | None = None) -> None:
         """Add an ellipsoid."""
-        self.add(clay.ellipsoid(centre, radii, rotation), centre, float(radii.max()))
+        axes = np.eye(3) if rotation is None else rotation
+        self.balls.append(np.concatenate([centre, radii, axes.ravel()]))
+        self._hold(centre, float(radii.max()))
 
     def mesh(self, blend: float) -> TriangleMesh:
         """Melt all together, cut, and polygonize."""
-        body = clay.smooth_union(self.fields, blend)
+        from spectra_kit.neo.train._clay import add_balls, add_limbs  # numba is slow to import
+
+        limbs, balls = np.reshape(self.limbs, (-1, 8)), np.reshape(self.balls, (-1, 15))
+
+        def melted(points: Floats) -> Floats:
+            columns, values = np.ascontiguousarray(points.T), np.full(len(points), np.inf)
+            add_limbs(columns, limbs, blend, values)
+            add_balls(columns, balls, blend, values)
+            return values
+
+        round_parts = [melted] if self.limbs or self.balls else []
+        body = clay.smooth_union(round_parts + self.fields, blend)
         tool = clay.smooth_union(self.cuts, 0.0) if self.cuts else None
 
         def rest(points: Floats) -> Floats:
