@@ -9,7 +9,7 @@ import json
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +81,7 @@ def read_config(folder: Path, pool: Path | None = None, pool_split: str = "train
     if not path.is_file():
         raise InvalidInputError("folder", "hold a corpus with its corpus.json", folder)
     stored = read_fingerprint(path)
-    names = {field.name for field in fields(CorpusConfig)} - {"pool", "pool_split", "weights"}
+    names = ("seed", "n_points", "k", "shard_size", "nonuniform", "pool_share", "mesh_share")
     values = {name: stored[name] for name in names if name in stored}
     weights = stored.get("families", {})
     values["weights"] = {k: w for k, w in weights.items() if k in FAMILIES and w != FAMILIES[k][1]}

@@ -46,7 +46,6 @@ def add_corpus_options(parser: _ActionsContainer) -> None:
     add("--pool-split", default="train", help="split of the pool (%(default)s)")
     family = "weight of a family, such as tube=12; may come several times"
     add("--family", action="append", default=[], type=_weight, help=family)
-    add("--poses", type=int, default=1, help="samples that share a surface (%(default)s)")
 
 
 def _weight(text: str) -> tuple[str, float]:
@@ -67,7 +66,6 @@ def corpus_config(options: Namespace) -> CorpusConfig:
         pool_share=share if options.pool_share is None else options.pool_share,
         pool_split=options.pool_split,
         weights=dict(options.family),
-        poses=options.poses,
     )
 
 

@@ -27,7 +27,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby, islice
+from itertools import islice
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -50,7 +50,7 @@ from spectra_kit.neo.train.samples import (
 )
 
 _THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-_AHEAD = 3  # surfaces in work or done but not fetched, for each worker
+_AHEAD = 3  # samples in work or done but not fetched, for each worker
 _NAME = re.compile(r"shard_\d{4,}")
 #: Reads samples of a draw, by their places in it.
 Reader = Callable[[Sequence[int]], Samples]
@@ -392,19 +392,18 @@ def produced(
     Of any number of `indices`. Raises `WorkerError` if a process has died. Closing ends the
     processes; they also end with this one.
     """
-    # Samples that share a surface are made by one process, which makes it once.
-    todo = (list(group) for _, group in groupby(indices, lambda index: index // config.poses))
+    todo = iter(indices)
     executor = ProcessPoolExecutor(
         workers, multiprocessing.get_context("spawn"), initializer=_begin_worker
     )
     try:
         first = islice(todo, _AHEAD * workers)
         with _one_thread():  # all processes start here, and read this
-            ahead = deque(executor.submit(_made, config, group) for group in first)
+            ahead = deque(executor.submit(make_sample, config, i) for i in first)
         while ahead:
-            made = ahead.popleft().result()
-            ahead.extend(executor.submit(_made, config, group) for group in islice(todo, 1))
-            yield from made
+            sample = ahead.popleft().result()
+            ahead.extend(executor.submit(make_sample, config, i) for i in islice(todo, 1))
+            yield sample
     except BrokenProcessPool as error:
         raise WorkerError(
             "a process that makes samples has died, perhaps for lack of memory",
@@ -412,10 +411,6 @@ def produced(
         ) from error
     finally:
         executor.shutdown(cancel_futures=True)
-
-
-def _made(config: CorpusConfig, indices: Sequence[int]) -> list[Samples]:
-    return [make_sample(config, index) for index in indices]
 
 
 @contextmanager

@@ -182,14 +182,10 @@ FAMILIES: dict[str, tuple[Callable[[Rng], TriangleMesh], float]] = {
 _RIGID = {"machined", "assembly", "vessel", "furniture", "vehicle"}
 
 
-def deformed(mesh: TriangleMesh, family: str, rng: Rng, *, stretched: bool = False) -> TriangleMesh:
-    """Stretch, bend, twist, taper, wrinkle or pierce: each with its own probability.
-
-    It may be `stretched` in any case.
-    """
-    likely = 0.3 if family in _RIGID else 1.0
+def _deform(mesh: TriangleMesh, rng: Rng, likely: float) -> TriangleMesh:
+    """Stretch, bend, twist, taper, wrinkle or pierce: each with its own probability."""
     points = mesh.points - mesh.points.mean(axis=0)
-    points = s.warped(points / np.abs(points).max(), rng, likely, stretched=stretched)
+    points = s.warped(points / np.abs(points).max(), rng, likely)
     mesh = mesh.with_points(points)
     if rng.random() < 0.2 * likely:
         relief = s.waves(points, rng, frequency=rng.uniform(3.0, 12.0))
@@ -229,7 +225,8 @@ def make_mesh(family: str, seed: int | tuple[int, ...]) -> TriangleMesh:
     if family not in FAMILIES:
         raise InvalidInputError("family", f"be one of {sorted(FAMILIES)}", repr(family))
     rng = np.random.default_rng(seed)
-    return deformed(FAMILIES[family][0](rng), family, rng)
+    mesh = FAMILIES[family][0](rng)
+    return _deform(mesh, rng, 0.3 if family in _RIGID else 1.0)
 
 
 def draw_family(rng: Rng, changed: Mapping[str, float] = MappingProxyType({})) -> int:

@@ -138,25 +138,17 @@ def _open(root: Path, split: str, stamps: tuple[tuple[str, int, int], ...]) -> M
     return MeshPool(list(points), list(faces), tuple(names), split)
 
 
-def in_unit_box(mesh: TriangleMesh) -> TriangleMesh:
-    """Return `mesh` with the largest coordinate one, and its box around the origin."""
-    points = mesh.points - (mesh.points.min(axis=0) + mesh.points.max(axis=0)) / 2
-    return mesh.with_points(points / max(float(np.abs(points).max()), 1e-12))
-
-
-def bendable(mesh: TriangleMesh) -> TriangleMesh:
-    """Return `mesh`, which is in the unit box, with its long edges halved: they may bend, too."""
-    return s.bisected(mesh, _EDGE)
-
-
 def varied(
-    mesh: TriangleMesh, rng: np.random.Generator, *, stretched: bool = False
+    mesh: TriangleMesh, rng: np.random.Generator, *, own_vertices: bool = False
 ) -> TriangleMesh:
-    """Return `mesh`, mostly stretched, bent, twisted or tapered at random.
+    """Return `mesh` in the unit box, and mostly stretched, bent, twisted or tapered at random.
 
-    It may be `stretched` in any case.
+    Long edges are halved before, that they may bend too, unless it is to keep its `own_vertices`.
     """
-    return mesh.with_points(s.warped(mesh.points, rng, _WARP, stretched=stretched))
+    points = mesh.points - (mesh.points.min(axis=0) + mesh.points.max(axis=0)) / 2
+    unit = mesh.with_points(points / max(float(np.abs(points).max()), 1e-12))
+    fine = unit if own_vertices else s.bisected(unit, _EDGE)
+    return fine.with_points(s.warped(fine.points, rng, _WARP))
 
 
 def pack_pool(path: str | os.PathLike[str], target: str | os.PathLike[str], split: str) -> MeshPool:

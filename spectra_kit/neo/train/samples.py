@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -25,9 +24,9 @@ from spectra_kit.eigen.dense import Dense
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry.sampling import GaussianDensity, sample
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.neo.train.families import FAMILIES, deformed, draw_family, family_weights
-from spectra_kit.neo.train.pool import MeshPool, bendable, in_unit_box, open_pool, varied
-from spectra_kit.neo.train.surfaces import at_resolution, connected
+from spectra_kit.neo.train.families import FAMILIES, draw_family, family_weights, make_mesh
+from spectra_kit.neo.train.pool import open_pool, varied
+from spectra_kit.neo.train.surfaces import at_resolution
 from spectra_kit.operators.laplacian import Laplacian
 
 FROM_POOL = -1  # the label `family` of samples that are real meshes
@@ -207,9 +206,6 @@ class CorpusConfig:
         The others are clouds.
     weights : dict of str to float
         Weights of `FAMILIES` that are to be others.
-    poses : int
-        Samples that share a surface, one after the other. Each has points, or vertices, of its own,
-        and deforms it in its own way; all but the first are stretched at least.
 
     Examples
     --------
@@ -228,11 +224,9 @@ class CorpusConfig:
     pool_share: float = 0.0
     mesh_share: float = 0.0
     weights: dict[str, float] = field(default_factory=dict)
-    poses: int = 1
 
     def __post_init__(self) -> None:
         check_count("seed", self.seed, low=0)
-        check_count("poses", self.poses, low=1)
         check_count("k", self.k, low=1)
         check_count("n_points", self.n_points, low=max(64, 2 * self.k))
         check_count("shard_size", self.shard_size, low=1)
@@ -324,15 +318,13 @@ def draw_source(config: CorpusConfig, index: int, attempt: int) -> dict[str, int
     """Draw what an attempt at a sample is to be: labels ``family``, ``pool`` and ``mesh``."""
     # What to draw hardly depends on the attempt: rejections would thin out the hard ones. Nor is
     # it the stream of the mesh, whose first numbers would then follow from its family.
-    patient = attempt // _PATIENCE
-    rng = np.random.default_rng((config.seed, index // config.poses, patient, 2))
+    rng = np.random.default_rng((config.seed, index, attempt // _PATIENCE, 2))
     if config.pool is not None and config.pool_share and rng.random() < config.pool_share:
         n = len(open_pool(config.pool, config.pool_split))
         source = {"family": FROM_POOL, "pool": int(rng.integers(n))}
     else:
         source = {"family": draw_family(rng, config.weights), "pool": -1}
-    own = np.random.default_rng((config.seed, index, patient, 4))
-    return {**source, "mesh": int(own.random() < config.mesh_share)}
+    return {**source, "mesh": int(rng.random() < config.mesh_share)}
 
 
 def make_surface(
@@ -342,45 +334,17 @@ def make_surface(
 
     Raises `InvalidInputError` if the drawn parameters leave none: rare, the next have others.
     """
-    number, pose = divmod(index, config.poses)
-    family, whole = source["family"], bool(source["mesh"])
     seed = (config.seed, index, attempt)
-    rng, again = np.random.default_rng((*seed, 5)), {"stretched": pose > 0}
-    if config.pool is None or family != FROM_POOL:
-        name = list(FAMILIES)[family]
-        body = _whole_body if whole else _body
-        mesh = deformed(body(name, (config.seed, number, attempt)), name, rng, **again)
+    if config.pool is None or source["family"] != FROM_POOL:
+        mesh = make_mesh(list(FAMILIES)[source["family"]], seed)
     else:
-        real = _whole_real if whole else _real
-        mesh = varied(real(open_pool(config.pool, config.pool_split), source["pool"]), rng, **again)
+        real = open_pool(config.pool, config.pool_split).mesh(source["pool"])
+        mesh = varied(real, np.random.default_rng(seed), own_vertices=bool(source["mesh"]))
     if not source["mesh"]:
         return mesh
     rng = np.random.default_rng((*seed, 3))
     fewest = min(_AIMED_AT * config.k, config.n_points)
     return at_resolution(mesh, rng, fewest=fewest, most=config.n_points)
-
-
-# What samples in other poses, the next ones, begin with: as clouds, and as meshes.
-
-
-@lru_cache(maxsize=1)
-def _body(family: str, seed: tuple[int, int, int]) -> TriangleMesh:
-    return FAMILIES[family][0](np.random.default_rng(seed))
-
-
-@lru_cache(maxsize=1)
-def _whole_body(family: str, seed: tuple[int, int, int]) -> TriangleMesh:
-    return connected(_body(family, seed))
-
-
-@lru_cache(maxsize=1)
-def _real(pool: MeshPool, number: int) -> TriangleMesh:
-    return bendable(in_unit_box(pool.mesh(number)))
-
-
-@lru_cache(maxsize=1)
-def _whole_real(pool: MeshPool, number: int) -> TriangleMesh:
-    return connected(in_unit_box(pool.mesh(number)))
 
 
 def _attempted(

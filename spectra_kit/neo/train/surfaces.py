@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.components import largest_component
 from spectra_kit.geometry.shapes import TriangleMesh, side_keys
 
 
@@ -142,14 +141,9 @@ def taper(points: Floats, amount: float) -> Floats:
     return np.column_stack([x, scale * y, scale * z])
 
 
-def warped(
-    points: Floats, rng: np.random.Generator, likely: float, *, stretched: bool = False
-) -> Floats:
-    """Stretch, bend, twist, taper along random axes: each with its own share of `likely`.
-
-    Unless they are to be `stretched` in any case.
-    """
-    if rng.random() < 0.6 * likely or stretched:
+def warped(points: Floats, rng: np.random.Generator, likely: float) -> Floats:
+    """Stretch, bend, twist, taper along random axes: each with its own share of `likely`."""
+    if rng.random() < 0.6 * likely:
         points = points * np.exp(rng.normal(scale=0.22, size=3))
     for deform, share, most in ((bend, 0.35, 1.8), (twist, 0.25, 1.8), (taper, 0.25, 0.45)):
         if rng.random() < share * likely:
@@ -206,7 +200,7 @@ def raised(mesh: TriangleMesh, height: Floats | float) -> TriangleMesh:
 def at_resolution(
     mesh: TriangleMesh, rng: np.random.Generator, *, fewest: int, most: int
 ) -> TriangleMesh:
-    """Return a mesh that is `connected` with `fewest` to `most` vertices, or somewhat fewer.
+    """Return the largest part of a mesh, with `fewest` to `most` vertices, or somewhat fewer.
 
     Vertices and triangles stay as uneven as they are where their number fits. Of finer meshes, the
     vertices in the cells of a grid are joined, down to a number drawn at random, of all scales
@@ -214,20 +208,24 @@ def at_resolution(
     """
     wanted = round(float(np.exp(rng.uniform(np.log(fewest), np.log(most)))))
     evenly = rng.random() < 0.5
-    if mesh.n < fewest:
-        mesh = _subdivided(mesh, fewest, evenly)
-    return mesh if mesh.n <= most else _clustered(mesh, wanted)
+    part = connected(mesh)
+    if part.n < fewest:
+        part = _subdivided(part, fewest, evenly)
+    return part if part.n <= most else _clustered(part, wanted)
 
 
 def connected(mesh: TriangleMesh) -> TriangleMesh:
     """Return the largest part of a mesh without doubled vertices and faces, or faces of no area."""
     merged = mesh.with_merged_vertices()
-    faces = merged.faces[~merged.degenerate_faces()]
-    if not len(faces):
+    kept = np.flatnonzero(~merged.degenerate_faces())
+    if not len(kept):
         raise InvalidInputError("mesh", "have a face of some area", "none")
-    low, middle, high = np.sort(faces, axis=1).T
-    faces = faces[np.unique((low * merged.n + middle) * merged.n + high, return_index=True)[1]]
-    return largest_component(TriangleMesh(merged.points, faces)).mesh
+    low, middle, high = np.sort(merged.faces[kept], axis=1).T
+    kept = kept[np.unique((low * merged.n + middle) * merged.n + high, return_index=True)[1]]
+    whole = TriangleMesh(merged.points, merged.faces[kept])
+    part = whole.component_labels[whole.faces[:, 0]]
+    largest = np.bincount(part, merged.face_areas[kept]).argmax()
+    return TriangleMesh(whole.points, whole.faces[part == largest]).without_unreferenced()
 
 
 def _subdivided(mesh: TriangleMesh, fewest: int, evenly: bool) -> TriangleMesh:
