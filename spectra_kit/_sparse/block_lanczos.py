@@ -17,6 +17,7 @@ _SEMI = 1e-12  # the same, at most: residuals of Ritz pairs are no smaller than 
 # Where these may be larger: the projection is still rounded as if the vectors were orthogonal
 # (Simon, *The Lanczos algorithm with partial reorthogonalization*, 1984).
 _SEMI_LOOSE = 1e-8
+_WELL_APART = 1e-3  # diagonal of a Cholesky factor: what the Gram matrix rounds is below that
 # Of the operator, by which a loose start is multiplied: four solves of a block save five steps.
 _POWERS = 4
 
@@ -59,7 +60,7 @@ class BlockLanczos:
         loose: bool = False,
     ) -> None:
         self._operator, self._block = operator, block
-        self._apart = _SEMI_LOOSE if loose else _SEMI
+        self._loose, self._apart = loose, _SEMI_LOOSE if loose else _SEMI
         self.size = 0  # vectors whose images are known; one more block is there
         self._basis = np.empty((most + block, n))
         self._projected = np.zeros((most + block, most + block))
@@ -69,7 +70,7 @@ class BlockLanczos:
                 start = operator(start)
             self._basis[:block] = np.linalg.qr(start)[0].T
         else:
-            self._basis[:block] = _orthonormal(start.T, _SEMI)[0]
+            self._basis[:block] = _orthonormal(start.T, loose)[0]
         self._norm, self._new = 0.0, 0.0  # of the operator in the space, and of the last block
         self._loss = _ROUNDED  # of orthogonality of the last block, at most
 
@@ -90,10 +91,10 @@ class BlockLanczos:
             self._loss *= self._norm / self._new
         self._take_out(following, before, end)
         try:
-            Q, R = _orthonormal(W, self._apart)
+            Q, R = _orthonormal(W, self._loose)
         except np.linalg.LinAlgError:
             Q, R = W, np.zeros((block, block))
-        sizes = np.linalg.svd(R, compute_uv=False)
+        sizes = np.sort(R.diagonal())[::-1] if self._loose else np.linalg.svd(R, compute_uv=False)
         self._norm, self._new = max(self._norm, float(sizes[0])), float(sizes[-1])
         if self._new <= _NOTHING * self._norm:  # the space is all but invariant: this is rounding
             Q, R = np.linalg.qr(W.T)
@@ -147,15 +148,19 @@ def combined(coefficients: Floats, A: Floats) -> Floats:
     return out
 
 
-def _orthonormal(W: Floats, apart: float) -> tuple[Floats, Floats]:
-    """Return orthonormal rows Q and R with ``W = R^T Q``, by Cholesky factors of Gram matrices."""
+def _orthonormal(W: Floats, loose: bool) -> tuple[Floats, Floats]:
+    """Return orthonormal rows Q and R with ``W = R^T Q``, by Cholesky factors of Gram matrices.
+
+    Twice, unless they may be `loose` and are well apart in W.
+    """
+    if loose:
+        once = np.linalg.cholesky(inner(W, W))
+        if once.diagonal().min() > _WELL_APART * once.diagonal().max():
+            return combined(np.linalg.inv(once), W), once.T
     size = np.linalg.norm(W, axis=1)
     if not (size > 0).all():
         raise np.linalg.LinAlgError("a row is zero, or not a number")
     first = np.linalg.cholesky(inner(W, W) / size / size[:, None])
     Q = combined(np.linalg.inv(first) / size, W)
-    gram = inner(Q, Q)
-    if np.abs(gram - np.eye(len(Q))).max() <= apart:
-        return Q, first.T * size
-    second = np.linalg.cholesky(gram)
+    second = np.linalg.cholesky(inner(Q, Q))
     return combined(np.linalg.inv(second), Q), second.T @ (first.T * size)

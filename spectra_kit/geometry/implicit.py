@@ -78,7 +78,7 @@ def cylinder(
 
 
 def _beside(d: Floats) -> Floats:
-    """Distance to where all columns are negative, of those to where each is; they are at right angles."""
+    """Distance to where all columns, which change at right angles, are negative."""
     columns = np.ascontiguousarray(d.T)  # reductions along them are ten times as fast
     outside = np.maximum(columns, 0.0)
     return np.asarray(np.sqrt((outside**2).sum(axis=0)) + np.minimum(columns.max(axis=0), 0.0))

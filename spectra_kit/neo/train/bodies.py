@@ -22,7 +22,8 @@ def polygonized(field: clay.Field, low: Floats, high: Floats) -> TriangleMesh:
     if len(faces) < FEWEST:
         expected = f"have a surface of {FEWEST} faces at least on this grid"
         raise InvalidInputError("field", expected, len(faces), advice="take another seed")
-    return largest_component(TriangleMesh(points, faces)).mesh
+    mesh = TriangleMesh(points, faces)
+    return largest_component(mesh).mesh if mesh.component_labels.any() else mesh
 
 
 def _chain(
