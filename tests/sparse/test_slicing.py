@@ -144,3 +144,21 @@ def test_a_space_that_becomes_invariant_still_grows() -> None:
     X = krylov.lifted(found.rotation)
     assert np.abs(X @ X.T - np.eye(120)).max() < 1e-12
     assert np.abs(X * values - found.values[:, None] * X).max() < 1e-10 + found.residuals.max()
+
+
+def test_a_loose_space_is_as_good_as_orthogonal_and_finds_more() -> None:
+    """Of an inverse whose eigenvalues are far apart near the shift, and crowd far from it."""
+    values = 1 / (np.arange(1.0, 1001) * np.where(np.arange(1000) % 2, 1, -1) - 0.47)
+    found = {}
+    for loose in (False, True):
+        options = {"block": 8, "most": 160, "seed": 0, "loose": loose}
+        krylov = BlockLanczos(lambda X: values[:, None] * X, 1000, **options)
+        while krylov.size < 160:
+            krylov.step()
+        ritz = krylov.ritz()
+        X = krylov.lifted(ritz.rotation)
+        assert np.abs(X @ X.T - np.eye(160)).max() < 1e-6
+        found[loose] = int((ritz.residuals > 1e-3 * np.abs(ritz.values)).argmax())  # from one end
+        lowest = np.sort(values)[: found[loose]]
+        assert ritz.values[: found[loose]] == pytest.approx(lowest, rel=1e-5)
+    assert found[True] >= found[False] + 4
