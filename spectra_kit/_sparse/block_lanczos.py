@@ -156,7 +156,7 @@ def _orthonormal(W: Floats, loose: bool) -> tuple[Floats, Floats]:
     if loose:
         once = np.linalg.cholesky(inner(W, W))
         if once.diagonal().min() > _WELL_APART * once.diagonal().max():
-            return combined(np.linalg.inv(once), W), once.T
+            return combined(np.linalg.inv(once), W), np.asarray(once.T, np.float64)
     size = np.linalg.norm(W, axis=1)
     if not (size > 0).all():
         raise np.linalg.LinAlgError("a row is zero, or not a number")

@@ -46,7 +46,7 @@ class Pencil:
             return None
 
     def _at(self, sigma: float) -> Floats:
-        entries = self._entries.copy()
+        entries: Floats = self._entries.copy()
         entries[self._diagonal] -= sigma * self._mass
         return entries
 

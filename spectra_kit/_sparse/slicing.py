@@ -183,8 +183,9 @@ class _Run:
         self._factor, self._sigma, self._tol, self._block = factor, sigma, tol, block
         self._loose = tol > _SHARED
         self._most = min(_STEPS, factor.n // (2 * block)) * block
-        sizes = {"block": block, "most": self._most, "loose": self._loose}
-        self._krylov = BlockLanczos(factor.solve, factor.n, **sizes, seed=seed)
+        self._krylov = BlockLanczos(
+            factor.solve, factor.n, block=block, most=self._most, seed=seed, loose=self._loose
+        )
 
     def until(self, known: Floats, number: int, last: float, above: int) -> int | None:
         """Go on until `above` modes have converged above the shift, and all below it.
