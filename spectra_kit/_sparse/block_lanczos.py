@@ -17,6 +17,12 @@ _ROUNDED = 1e-15  # what is left of other vectors in one that was orthogonalised
 _CLEAN = 1e-14  # the same, at most, where nothing is to be gained
 _NOTHING = 1e-10  # of the norm of the operator: a new block is no larger
 _SEMI = 1e-12  # the same, at most: residuals of Ritz pairs are no smaller than that
+# Where these may be larger: the projection is still rounded as if the vectors were orthogonal
+# (Simon, *The Lanczos algorithm with partial reorthogonalization*, 1984).
+_SEMI_LOOSE = 1e-8
+# Of the operator, by which the start is multiplied: four products save as many steps, whose vectors
+# would have to be held, and others to be orthogonalised against them. More save less.
+_POWERS = 4
 
 
 class KrylovPairs(NamedTuple):
@@ -42,23 +48,32 @@ class BlockLanczos:
     others grows in each step by the norm of the operator over that of the new block at most: before
     it is felt, a new block is orthogonalised against all others; together with the last one, where
     that was not, which takes one look at these instead of two (Grimes, Lewis and Simon, *A shifted
-    block Lanczos algorithm*, 1994). Vectors are rows here, whose products with a block are twice as
-    fast; no bit of a sum depends on the number of threads.
+    block Lanczos algorithm*, 1994). A `loose` space is for residuals above 1e-6. Vectors are rows
+    here, whose products with a block are twice as fast; no bit of a sum depends on the number of
+    threads.
     """
 
     def __init__(
-        self, operator: Callable[[Floats], Floats], n: int, *, block: int, most: int, seed: int
+        self,
+        operator: Callable[[Floats], Floats],
+        n: int,
+        *,
+        block: int,
+        most: int,
+        seed: int,
+        loose: bool = False,
     ) -> None:
         self._operator, self._block, self._cuts = operator, block, ranges(n, _CACHED)
+        self._loose, self._apart = loose, _SEMI_LOOSE if loose else _SEMI
         self.size = 0  # vectors whose images are known; one more block is there
         self._basis = np.empty((most + block, n))
         self._projected = np.zeros((most + block, most + block))
-        self._input = np.linalg.qr(np.random.default_rng(seed).standard_normal((n, block)))[0]
+        start = np.random.default_rng(seed).standard_normal((n, block))
+        self._input = np.linalg.qr(start)[0]
+        for _ in range(_POWERS):
+            self._input = np.linalg.qr(operator(self._input))[0]
         self._basis[:block] = self._input.T
-        self._norm, self._new = (
-            0.0,
-            0.0,
-        )  # of the operator there, and least of the last block
+        self._norm, self._new = 0.0, 0.0  # of the operator there, and least of the last block
         self._loss = _ROUNDED  # of orthogonality of the last block, at most
 
     def step(self) -> None:
@@ -80,7 +95,7 @@ class BlockLanczos:
         own = inside[:, -block:]
         self._projected[size:end, size:end] = (own + own.T) / 2
         self._norm = max(self._norm, float(np.linalg.norm(own)))
-        unsure = self._loss * self._norm > _SEMI * self._new
+        unsure = self._loss * self._norm > self._apart * self._new
         # With the last block, unless it was orthogonalised when it came.
         rows = self._basis[size if unsure and self._loss > _CLEAN else end : end + block]
         older = self._basis[:size] if unsure else recent[:-block]

@@ -28,7 +28,8 @@ class Pencil:
             lift = 1 + np.abs(stiffness.diagonal() / mass).max()  # no entry becomes zero
             pattern = symmetric(sparse.csr_array(stiffness + lift * sparse.diags_array(mass)))
             self._diagonal = _diagonal_of(pattern)
-        self._entries, self._mass = pattern.data.copy(), mass
+        self._pattern, self._mass = pattern, mass
+        self._entries = pattern.data.copy()
         self._entries[self._diagonal] = stiffness.diagonal()
         try:
             if elimination is None or not elimination.serves(pattern):
@@ -37,15 +38,25 @@ class Pencil:
             raise no_memory(n) from error
         self.elimination = elimination
 
+    def shifted(self, sigma: float) -> sparse.csr_array:
+        """Return ``L - sigma M``, with an entry for each that the pattern has."""
+        shifted = self._pattern.copy()
+        shifted.data = self._at(sigma)
+        return shifted
+
     def factor(self, sigma: float) -> SparseLDL | None:
         """Factorise ``L - sigma M``; nothing where a pivot is zero, as close to an eigenvalue."""
-        entries = self._entries.copy()
-        diagonal = entries[self._diagonal] - sigma * self._mass
-        entries[self._diagonal] = diagonal
+        entries = self._at(sigma)
+        diagonal = entries[self._diagonal]
         try:
             return SparseLDL.of_entries(entries, diagonal, self.elimination, definite=False)
         except InvalidInputError:
             return None
+
+    def _at(self, sigma: float) -> Floats:
+        entries: Floats = self._entries.copy()
+        entries[self._diagonal] -= sigma * self._mass
+        return entries
 
 
 def _diagonal_of(matrix: sparse.csr_array) -> Ints:

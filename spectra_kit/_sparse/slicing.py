@@ -15,7 +15,7 @@ from spectra_kit._core.types import Floats
 from spectra_kit._sparse.block_lanczos import BlockLanczos, combined, inner
 from spectra_kit._sparse.elimination import Elimination
 from spectra_kit._sparse.ldl import SparseLDL
-from spectra_kit.errors import InvalidInputError
+from spectra_kit._sparse.pencil import Pencil
 
 _BLOCK = 8  # vectors of a step: solved together they cost a third; more need a larger space
 #: The same where clusters are larger than a space of those finds: four times as much memory.
@@ -32,15 +32,16 @@ _FIRST = 80  # the same, at most
 # Vectors that find one mode more, once some have converged, and for each digit of the tolerance
 # before that, on shapes of 1,000 to 8,000 points, for 30 to 400 modes; and how many steps more or
 # fewer some shapes take.
-_EACH, _DIGIT, _SPREAD = 2, 8, 2
+_EACH, _DIGIT, _SPREAD = 2, 5, 2
 # A look at what has converged grows with the cube of the vectors, a step with these and the points.
 # Where the square of the vectors is so many times the points, it costs two steps.
 _DEAR = 8
+_LOOSE_EACH, _LOOSE_DIGIT = 1.5, 10  # nine times of ten, of 6 to 96 modes
 _ONE_SIDED = 0.7  # of what the first run reached above its shift, others reach to either side
 _SAFE = 0.8  # of what the last run reached, the next is asked for
 _DENSITY = 100  # modes whose distance tells where the next are
 _ROUNDING = 1e-12  # residuals of the inverse, relative to its eigenvalues
-_LOOSEST = 1e-3  # the same: its square is the error of an eigenvalue
+_LOOSEST = 1e-2  # the same: its square is the error of an eigenvalue
 _SHARED = 1e-6  # the same: its square, of what runs share, is rounding
 _BORDER = 1e-7  # of the distance of two shifts: a narrower gap may be one within a cluster
 _ACCURATE = 1e-10  # backward error of a solution, entry by entry
@@ -68,6 +69,8 @@ class Sliced(NamedTuple):
     eigenvectors: Floats
     shifts: int
     seconds: dict[str, float]
+    pencil: Pencil
+    """Of another matrix with the same eigenvalues, and of one: to count them."""
 
 
 def vectors_held(k: int) -> int:
@@ -115,17 +118,17 @@ def sliced_eigenpairs(
     values, X = np.empty(k), np.empty((k, len(mass)))  # rows are eigenvectors of A
     first, counted, found = 0, 0, 0  # modes below the last run, below its shift, and all
     last, ahead, reach, shifts, closer = below, min(math.ceil(share * k), _FIRST), 1.0, 0, 0
-    sigma, shared = below + guess * ahead * spacing, elimination
+    sigma, pencil = below + guess * ahead * spacing, Pencil(A, np.ones(len(mass)), elimination)
     with team():
         while found < k and shifts < most_shifts and closer < _CLOSER:
             top = values[found - 1] if found else last
-            factor = _factor(A, sigma, shared)
+            factor = _factor(pencil, sigma)
             shifts += 1
             clock.stage("factor")
             if factor is None:
                 sigma, closer = sigma + _NUDGE * (sigma - last), closer + 1
                 continue
-            number, shared = factor.inertia.negative, factor.elimination
+            number = factor.inertia.negative
             if number - found > (denser * ahead if block == _BLOCK else room):
                 sigma, closer = top + (sigma - top) * ahead / (number - found), closer + 1
                 continue
@@ -158,22 +161,21 @@ def sliced_eigenpairs(
     if loose and first > 0:
         X[:found] -= combined(inner(X[:found], X[:found]) - np.eye(found), X[:found]) / 2
     U = np.ascontiguousarray((X[:found] / root).T)
-    return Sliced(values[:found], U, shifts, clock.seconds)
+    return Sliced(values[:found], U, shifts, clock.seconds, pencil)
 
 
 def vectors_for(modes: int, tol: float) -> float:
     """Return about how many vectors of a space find so many modes."""
-    return _EACH * modes - _DIGIT * math.log10(min(max(tol, _ROUNDING), _LOOSEST))
+    each, digit = (_LOOSE_EACH, _LOOSE_DIGIT) if tol > _SHARED else (_EACH, _DIGIT)
+    return each * modes - digit * math.log10(min(max(tol, _ROUNDING), _LOOSEST))
 
 
-def _factor(A: sparse.csr_array, sigma: float, shared: Elimination | None) -> SparseLDL | None:
-    """Factorise ``A - sigma``; nothing where no factor without pivoting is accurate."""
-    shifted = sparse.csr_array(A - sigma * sparse.eye_array(A.shape[0]))
-    try:
-        factor = SparseLDL(shifted, definite=False, elimination=shared)
-    except InvalidInputError:
+def _factor(pencil: Pencil, sigma: float) -> SparseLDL | None:
+    """Factorise at a shift; nothing where no factor without pivoting is accurate."""
+    factor = pencil.factor(sigma)
+    if factor is None:
         return None
-    ones = np.ones(factor.n)
+    shifted, ones = pencil.shifted(sigma), np.ones(factor.n)
     x = factor.solve(ones)
     error = np.abs(shifted @ x - ones) / (abs(shifted) @ np.abs(x) + ones)
     return factor if error.max() <= _ACCURATE else None
@@ -186,7 +188,9 @@ class _Run:
         self._factor, self._sigma, self._tol, self._block = factor, sigma, tol, block
         self._loose = tol > _SHARED
         self._most = min(_STEPS, factor.n // (2 * block)) * block
-        self._krylov = BlockLanczos(factor.solve, factor.n, block=block, most=self._most, seed=seed)
+        self._krylov = BlockLanczos(
+            factor.solve, factor.n, block=block, most=self._most, seed=seed, loose=self._loose
+        )
 
     def until(self, known: Floats, number: int, last: float, above: int) -> int | None:
         """Go on until `above` modes have converged above the shift, and all below it.
@@ -200,7 +204,8 @@ class _Run:
         below = max(number - len(known), 0)
         due = vectors_for(below + above, self._tol)
         dear = due**2 > _DEAR * self._factor.n
-        due += (_SPREAD if dear else -_SPREAD) * self._block
+        if not self._loose:
+            due += (_SPREAD if dear else -_SPREAD) * self._block
         while krylov.size < self._most:
             krylov.step()
             if krylov.size < min(due, enough, self._most):
@@ -219,8 +224,10 @@ class _Run:
         """Return eigenvalues and eigenvectors, as rows that are orthonormal to rounding."""
         inverse = self._ritz.values[kept]
         X = self._krylov.lifted(self._ritz.rotation[:, kept])
-        if not self._loose:  # one more product takes out what rounding left of frequencies
-            X = np.ascontiguousarray((self._factor.solve(X.T) / inverse).T)
+        if self._loose:
+            return self._sigma + 1 / inverse, X
+        # One more product takes out what rounding left of frequencies.
+        X = np.ascontiguousarray((self._factor.solve(X.T) / inverse).T)
         error = inner(X, X) - np.eye(len(kept))
         return self._sigma + 1 / inverse, X - combined(error / 2, X)
 

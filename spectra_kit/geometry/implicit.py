@@ -61,12 +61,7 @@ def _local(centre: ArrayLike, rotation: Floats | None) -> Field:
 def box(centre: ArrayLike, half: ArrayLike, rotation: Floats | None = None) -> Field:
     """Box with half side lengths `half` (3,) along the columns of `rotation`."""
     local, h = _local(centre, rotation), np.asarray(half, dtype=np.float64)
-
-    def field(points: Floats) -> Floats:
-        q = np.abs(local(points)) - h
-        return np.asarray(_norm(np.maximum(q, 0.0)) + np.minimum(q.max(axis=1), 0.0))
-
-    return field
+    return lambda points: _beside(np.abs(local(points)) - h)
 
 
 def cylinder(
@@ -76,11 +71,17 @@ def cylinder(
     local = _local(centre, rotation)
 
     def field(points: Floats) -> Floats:
-        q = local(points)
-        d = np.column_stack([np.hypot(q[:, 0], q[:, 1]) - radius, np.abs(q[:, 2]) - half_height])
-        return np.asarray(_norm(np.maximum(d, 0.0)) + np.minimum(d.max(axis=1), 0.0))
+        x, y, z = local(points).T
+        return _beside(np.column_stack([np.hypot(x, y) - radius, np.abs(z) - half_height]))
 
     return field
+
+
+def _beside(d: Floats) -> Floats:
+    """Distance to where all columns, which change at right angles, are negative."""
+    columns = np.ascontiguousarray(d.T)  # reductions along them are ten times as fast
+    outside = np.maximum(columns, 0.0)
+    return np.asarray(np.sqrt((outside**2).sum(axis=0)) + np.minimum(columns.max(axis=0), 0.0))
 
 
 def ring(centre: ArrayLike, major: float, minor: float, rotation: Floats | None = None) -> Field:

@@ -12,7 +12,7 @@ from spectra_kit._core.threads import in_threads, ranges
 from spectra_kit._core.types import Bools, Floats, Ints, Ints32
 from spectra_kit._core.validate import quantity
 from spectra_kit.errors import ConvergenceError, InvalidInputError
-from spectra_kit.geometry.shapes import PointCloud, TriangleMesh, distinct_rows
+from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh, distinct_rows
 from spectra_kit.operators._edge_flips import (
     ROUNDING,
     cotangent_laplacian,
@@ -28,6 +28,7 @@ from spectra_kit.operators.checks import check_cloud_usable, mean_edges, unit_of
 from spectra_kit.operators.local_delaunay import FirstStars, local_triangles
 from spectra_kit.operators.triangle_calculus import areas
 
+MOLLIFY, NEIGHBORS = 1e-5, 30  # by default
 _BLOCK = 16_384  # points of one task: fixed, so that nothing depends on the number of threads
 # Of a half-edge, before giving up. Clouds need 0.14 at most, but n slivers that fan out from one
 # point, as in flat parts of technical models, n / 32.
@@ -48,6 +49,16 @@ class Cover(NamedTuple):
     boundary: Ints
     stiffness: sparse.csr_array
     mass: Floats
+
+
+def plain_cover(geometry: Geometry) -> Cover:
+    """Return the cover of `delaunay_laplacian`, as it is by default and with less ado.
+
+    Of a mesh whose faces are usable; and nothing is told of seams, or of parts near each other.
+    """
+    if isinstance(geometry, TriangleMesh):
+        return mesh_cover(geometry, MOLLIFY)
+    return cloud_cover(ordered_cloud(geometry, NEIGHBORS), MOLLIFY)
 
 
 def mesh_cover(mesh: TriangleMesh, mollify_factor: float) -> Cover:

@@ -14,9 +14,6 @@ from spectra_kit.errors import InvalidInputError
 
 _BLOCK = 16_384  # points of one task: fixed, so that nothing depends on the number of threads
 _TIE = 1e-7  # weight of a point, of its squared distance to the nearest: decides between diagonals
-# Neighbours on a line spread across it by 0.04 of what they do along it on exact rings, by 0.11 on
-# noisy ones; random points and boundaries, and 26 models, by 0.087 at least of 600,000 points.
-_LINE, _THICK = 0.05, 0.12
 # Half of the neighbours are nearer than 0.71 of the last on a plane, than 0.5 along a curve.
 _HALF = 0.6
 _PATIENCE = 2  # doublings after the first plane
@@ -135,6 +132,7 @@ def _nearest(
 
 def _stars(points: Floats, ties: Floats, rows: NDArray[np.int64], neighbors: Ints32) -> Stars:
     from spectra_kit.operators._hulls import hulls
+    from spectra_kit.operators._planes import project
 
     p = len(rows)
     found = Stars(
@@ -147,34 +145,9 @@ def _stars(points: Floats, ties: Floats, rows: NDArray[np.int64], neighbors: Int
 
     def block(b: slice) -> None:
         near = neighbors[b]
-        offsets = points[near] - points[rows[b], None]
-        z = np.square(offsets).sum(axis=2)
-        u, v, found.lined[b] = _tangents(offsets, z)
-        z += ties[rows[b], None] - ties[near]
-        x, y = (np.einsum("pkr,pr->pk", offsets, axis) / z for axis in (u, v))
+        x, y = np.empty(near.shape), np.empty(near.shape)
+        project(points, ties, rows[b], near, x, y, found.lined[b])
         hulls(x, y, near, found.links[b], found.sizes[b], found.closed[b])
 
     in_threads(block, ((slice(*cut),) for cut in ranges(p, _BLOCK)))
     return found
-
-
-def _tangents(offsets: Floats, squares: Floats) -> tuple[Floats, Floats, Bools]:
-    """Return orthonormal frames (p, 3) of the planes fitted to points and their neighbours.
-
-    And whether the neighbours lie on a line, with no plane (p,).
-
-    Weights ``(1 - (d / d_max)^2)^2`` fade the farthest out: more of the curvature stays local.
-    """
-    weights = (1 - squares / (1.001 * squares[:, -1:])) ** 2
-    weighted = weights[:, :, None] * offsets
-    sums = weighted.sum(axis=1)
-    moments = weighted.transpose(0, 2, 1) @ offsets
-    moments -= sums[:, :, None] * sums[:, None] / (1 + weights.sum(axis=1))[:, None, None]
-    spreads, axes = np.linalg.eigh(moments)  # of the least spread first
-    normals, along = axes[:, :, 0], axes[:, :, 2]
-    largest = np.abs(normals).argmax(axis=1)[:, None]  # is positive: all flat stars turn alike
-    normals = normals * np.sign(np.take_along_axis(normals, largest, axis=1))
-    across, most = spreads[:, 1], spreads[:, 2]
-    # Noise spreads a line to either side alike.
-    lined = (across - spreads[:, 0] < _LINE * most) & (across < _THICK * most)
-    return along, np.cross(normals, along), lined

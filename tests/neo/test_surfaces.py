@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import implicit as clay
 from spectra_kit.geometry import sphere
 from spectra_kit.neo.train import bodies, surfaces
 from spectra_kit.neo.train.families import FAMILIES, draw_family, make_mesh
@@ -45,6 +46,34 @@ def test_closed_bodies_are_closed_and_symmetric_ones_have_a_mirror():
         mirrored = (points * mirror for mirror in ([-1, 1, 1], [1, -1, 1]))
         gaps = [np.quantile(tree.query(twin)[0], 0.95) for twin in mirrored]
         assert min(gaps) < 1.5 * cell  # grids have no mirrors, so points have none
+
+
+@pytest.mark.parametrize("blend", [0.0, 0.3])
+def test_a_body_is_the_smooth_union_of_its_parts_less_the_cuts(blend):
+    rng = np.random.default_rng(0)
+    joints, radii, points = (
+        rng.normal(size=(6, 3)),
+        rng.uniform(0.1, 0.5, 6),
+        rng.normal(size=(900, 3)),
+    )
+    body = bodies.Body()
+    body.chain(joints, radii)
+    limbs = zip(joints[:-1], joints[1:], radii[:-1], radii[1:], strict=True)
+    parts = [clay.limb(*limb) for limb in limbs]
+    for turn in (None, surfaces.random_rotation(rng)):
+        centre, half = rng.normal(size=3), rng.uniform(0.2, 0.7, 3)
+        body.ball(centre, half, turn)
+        parts.append(clay.ellipsoid(centre, half, turn))
+    parts.append(clay.box(joints[0], [0.5, 0.6, 0.7]))
+    body.add(parts[-1], joints[0], 0.7)
+    whole = clay.smooth_union(parts, blend)(points)
+    np.testing.assert_allclose(body.field(blend)(points), whole, atol=1e-12)
+    body.cuts.append(hole := clay.ring(joints[1], 0.8, 0.3))
+    cut = np.maximum(whole, -hole(points))
+    np.testing.assert_allclose(body.field(blend)(points), cut, atol=1e-12)
+    alone = bodies.Body()
+    alone.add(parts[-1], joints[0], 0.7)
+    np.testing.assert_array_equal(alone.field(blend)(points), parts[-1](points))
 
 
 def test_families_are_drawn_by_their_weights():

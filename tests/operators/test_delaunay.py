@@ -26,6 +26,7 @@ from spectra_kit.operators import (
     oriented_triangles,
 )
 from spectra_kit.operators._hulls import hulls
+from spectra_kit.operators._planes import project
 
 
 def square(n: int, seed: int = 0) -> np.ndarray:
@@ -214,6 +215,51 @@ def test_hulls_around_the_origin_are_those_of_qhull(k: int) -> None:
         start = np.flatnonzero(corners == k if k in corners else corners == links[row, 0])[0]
         around = np.roll(corners, -start)[int(k in corners) :]
         assert list(links[row, : sizes[row]]) == list(around)
+
+
+@pytest.mark.parametrize("thick", [0.0, 1e-9, 0.3, 1.0])
+def test_neighbours_are_projected_to_the_plane_of_least_spread(thick: float) -> None:
+    """As LAPACK finds it: of flat, thin and round neighbourhoods, and of lines."""
+    rng = np.random.default_rng(0)
+    points = rng.standard_normal((400, 3)) * [1, 1e-4, 1e-4 * thick]
+    points[:300] = rng.standard_normal((300, 3)) * [1, 0.7, thick / 2]
+    points[200:300] *= [1, 0.05, 0.05]  # a strip: some of it as narrow as a line
+    points[:, 0] += np.repeat([0, 50, 100], [200, 100, 100])
+    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    points = points @ turn.T
+    distances = np.linalg.norm(points[:, None] - points, axis=2)
+    near = np.argsort(distances, axis=1)[:, 1:13].astype(np.int32)
+    ties, rows = 1e-3 * distances[np.arange(400), near[:, 0]] ** 2 * rng.random(400), np.arange(400)
+    x, y, lined = np.empty((400, 12)), np.empty((400, 12)), np.empty(400, dtype=bool)
+    project(points, ties, rows, near, x, y, lined)
+    assert lined[300:].mean() > 0.9
+    assert lined[:200].mean() < 0.1
+    for i in rows:
+        offsets = points[near[i]] - points[i]
+        z = np.square(offsets).sum(axis=1)
+        weights = (1 - z / (1.001 * z.max())) ** 2
+        mean = weights @ offsets / (1 + weights.sum())
+        moments = (weights[:, None] * offsets).T @ offsets - (1 + weights.sum()) * np.outer(
+            mean, mean
+        )
+        spreads, axes = np.linalg.eigh(moments)
+        across = spreads[1] - spreads[0] < 0.05 * spreads[2] and spreads[1] < 0.12 * spreads[2]
+        assert lined[i] == across
+        if min(np.diff(spreads)) < 1e-6 * spreads[2]:
+            continue  # any axes will do
+        z += ties[i] - ties[near[i]]
+        normal = axes[:, 0] * np.sign(axes[np.abs(axes[:, 0]).argmax(), 0])
+        frame = np.column_stack([axes[:, 2], np.cross(normal, axes[:, 2])])
+        expected, found = offsets @ frame / z[:, None], np.column_stack([x[i], y[i]])
+        found *= np.sign(np.sum(found * expected))  # a half turn says nothing
+        np.testing.assert_allclose(found, expected, atol=1e-7 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("shape", [sphere(subdivisions=2).geometry, PointCloud(ball(300))])
+def test_the_cover_with_less_ado_has_the_same_operator(shape) -> None:
+    cover, laplacian = _cover.plain_cover(shape), delaunay_laplacian(shape)
+    np.testing.assert_array_equal(cover.stiffness.toarray(), laplacian.stiffness.toarray())
+    np.testing.assert_array_equal(cover.mass, laplacian.mass)
 
 
 def test_parts_that_look_like_lines_of_one_surface_are_told() -> None:

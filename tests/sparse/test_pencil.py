@@ -27,6 +27,10 @@ def test_factors_are_those_of_the_matrix(animal):
     own = Pencil(animal.stiffness, animal.mass).factor(sigma)
     shifted = sparse.csr_array(animal.stiffness - sigma * sparse.diags_array(animal.mass))
     np.testing.assert_array_equal(own.pivots, SparseLDL(shifted, definite=False).pivots)
+    pencil = Pencil(animal.stiffness, animal.mass)
+    for _ in range(2):  # what one returns is not what the next is made of
+        assert abs(pencil.shifted(sigma) - shifted).max() == 0
+        pencil.shifted(-sigma).data[:] = 0
 
 
 def test_what_has_no_diagonal_entries_gets_them():

@@ -22,7 +22,8 @@ def polygonized(field: clay.Field, low: Floats, high: Floats) -> TriangleMesh:
     if len(faces) < FEWEST:
         expected = f"have a surface of {FEWEST} faces at least on this grid"
         raise InvalidInputError("field", expected, len(faces), advice="take another seed")
-    return largest_component(TriangleMesh(points, faces)).mesh
+    mesh = TriangleMesh(points, faces)
+    return largest_component(mesh).mesh if mesh.component_labels.any() else mesh
 
 
 def _chain(
@@ -42,12 +43,17 @@ class Body:
 
     def __init__(self) -> None:
         self.fields: list[clay.Field] = []
+        self.limbs: list[Floats] = []
+        self.balls: list[Floats] = []
         self.cuts: list[clay.Field] = []
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
 
     def add(self, field: clay.Field, centre: Floats, reach: Floats | float) -> None:
         """Add a field that is positive `reach` from its centre on."""
         self.fields.append(field)
+        self._hold(centre, reach)
+
+    def _hold(self, centre: Floats, reach: Floats | float) -> None:
         self.low = np.minimum(self.low, centre - reach)
         self.high = np.maximum(self.high, centre + reach)
 
@@ -56,23 +62,37 @@ class Body:
         pairs = zip(joints[:-1], joints[1:], radii[:-1], radii[1:], strict=True)
         for a, b, ra, rb in pairs:
             centre, reach = (a + b) / 2, np.abs(b - a) / 2 + max(ra, rb)
-            self.add(clay.limb(a, b, ra, rb), centre, reach)
+            self.limbs.append(np.concatenate([a, b, [ra, rb]]))
+            self._hold(centre, reach)
 
     def ball(self, centre: Floats, radii: Floats, rotation: Floats | None = None) -> None:
         """Add an ellipsoid."""
-        self.add(clay.ellipsoid(centre, radii, rotation), centre, float(radii.max()))
+        axes = np.eye(3) if rotation is None else rotation
+        self.balls.append(np.concatenate([centre, radii, axes.ravel()]))
+        self._hold(centre, float(radii.max()))
+
+    def field(self, blend: float) -> clay.Field:
+        """Melt all together, and cut."""
+        from spectra_kit.neo.train._clay import add_balls, add_limbs  # numba is slow to import
+
+        limbs, balls = np.reshape(self.limbs, (-1, 8)), np.reshape(self.balls, (-1, 15))
+
+        def melted(points: Floats) -> Floats:
+            columns, values = np.ascontiguousarray(points.T), np.full(len(points), np.inf)
+            add_limbs(columns, limbs, blend, values)
+            add_balls(columns, balls, blend, values)
+            return values
+
+        whole = clay.smooth_union([melted, *self.fields], blend)
+        if not self.cuts:
+            return whole
+        tool = clay.smooth_union(self.cuts, 0.0)
+        return lambda points: np.asarray(np.maximum(whole(points), -tool(points)))
 
     def mesh(self, blend: float) -> TriangleMesh:
-        """Melt all together, cut, and polygonize."""
-        body = clay.smooth_union(self.fields, blend)
-        tool = clay.smooth_union(self.cuts, 0.0) if self.cuts else None
-
-        def rest(points: Floats) -> Floats:
-            value = body(points)
-            return value if tool is None else np.asarray(np.maximum(value, -tool(points)))
-
+        """Polygonize the field."""
         margin = blend + 0.08 * float((self.high - self.low).max())
-        return polygonized(rest, self.low - margin, self.high + margin)
+        return polygonized(self.field(blend), self.low - margin, self.high + margin)
 
 
 def quadruped(rng: Rng) -> TriangleMesh:
@@ -244,7 +264,8 @@ def machined(rng: Rng) -> TriangleMesh:
 
 def symmetric(rng: Rng) -> TriangleMesh:
     """Mirrored twins and things of n equal arms: beetles, stars, propellers, gears, flowers."""
-    parts: list[clay.Field] = [clay.ellipsoid(np.zeros(3), rng.uniform(0.1, 0.45, 3))]
+    body = Body()
+    body.ball(np.zeros(3), rng.uniform(0.1, 0.45, 3))
     start, n = np.zeros(3), int(rng.integers(1, 9))
     for _ in range(rng.integers(2, 6)):
         way = rng.normal(size=3) * [1.0, rng.choice([0.15, 0.6]), rng.choice([0.2, 0.7])]
@@ -252,16 +273,16 @@ def symmetric(rng: Rng) -> TriangleMesh:
         end[0] = abs(end[0])
         if n > 1:  # stay in the sector that is seen
             end[1] = min(abs(end[1]), 0.5 * np.tan(np.pi / n) * end[0])
-        half = rng.uniform(0.06, 0.3, 3)
-        tips = (
-            clay.ellipsoid(end, half, s.random_rotation(rng)),
-            clay.box(end, half),
-            clay.cylinder(end, half[0], 0.5 * half[1]),
-        )
-        parts.append(clay.limb(start, end, rng.uniform(0.06, 0.25), rng.uniform(0.05, 0.2)))
-        parts.append(tips[rng.choice(3, p=[0.5, 0.25, 0.25])])
+        half, axes = rng.uniform(0.06, 0.3, 3), s.random_rotation(rng)
+        body.chain(np.array([start, end]), rng.uniform([0.06, 0.05], [0.25, 0.2]))
+        kind = rng.choice(3, p=[0.5, 0.25, 0.25])
+        if kind == 0:
+            body.ball(end, half, axes)
+        else:
+            tip = clay.box(end, half) if kind == 1 else clay.cylinder(end, half[0], half[1] / 2)
+            body.add(tip, end, half)
         start = end if rng.random() < 0.7 else np.zeros(3)
-    arm = clay.smooth_union(parts, rng.choice([0.0, rng.uniform(0.05, 0.25)]))
+    arm = body.field(rng.choice([0.0, rng.uniform(0.05, 0.25)]))
 
     def field(points: Floats) -> Floats:
         folded = np.abs(points)

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.components import largest_component
 from spectra_kit.geometry.shapes import TriangleMesh, side_keys
 
 
@@ -218,11 +217,15 @@ def at_resolution(
 def connected(mesh: TriangleMesh) -> TriangleMesh:
     """Return the largest part of a mesh without doubled vertices and faces, or faces of no area."""
     merged = mesh.with_merged_vertices()
-    proper = (merged.faces != np.roll(merged.faces, 1, axis=1)).all(axis=1)
-    if not proper.any():
-        raise InvalidInputError("mesh", "have a face of three vertices", "none")
-    sound = TriangleMesh(merged.points, merged.faces[proper]).without_degenerate_faces()
-    return largest_component(sound.without_duplicate_faces()).mesh
+    kept = np.flatnonzero(~merged.degenerate_faces())
+    if not len(kept):
+        raise InvalidInputError("mesh", "have a face of some area", "none")
+    low, middle, high = np.sort(merged.faces[kept], axis=1).T
+    kept = kept[np.unique((low * merged.n + middle) * merged.n + high, return_index=True)[1]]
+    whole = TriangleMesh(merged.points, merged.faces[kept])
+    part = whole.component_labels[whole.faces[:, 0]]
+    largest = np.bincount(part, merged.face_areas[kept]).argmax()
+    return TriangleMesh(whole.points, whole.faces[part == largest]).without_unreferenced()
 
 
 def _subdivided(mesh: TriangleMesh, fewest: int, evenly: bool) -> TriangleMesh:
@@ -242,8 +245,8 @@ def _clustered(mesh: TriangleMesh, wanted: int) -> TriangleMesh:
     Any mesh can be so decimated; libigl's edge collapses never end on some.
     """
     size = 0.5 * float(np.sqrt(mesh.area / wanted))
-    while len(np.unique(cells := _cells(mesh.points, size))) > wanted:
-        size *= 1.05
+    while (n := len(np.unique(cells := _cells(mesh.points, size)))) > wanted:
+        size *= max(1.02, np.sqrt(n / wanted))  # as on a plane, where cells are many
     which = np.unique(cells, return_inverse=True)[1]
     counts = np.bincount(which)
     sums = np.column_stack([np.bincount(which, axis) for axis in mesh.points.T])
