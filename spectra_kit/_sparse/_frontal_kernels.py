@@ -147,57 +147,41 @@ def front_rows(
     The last are the most numbers that a front holds, and those of updates that wait.
     """
     n, count = len(order), len(begins) - 1
-    place = np.empty(n, np.int32)
-    for i in range(n):
-        place[order[i]] = i
-    node = np.empty(n, np.int32)
+    place, node = np.empty(n, np.int32), np.empty(n, np.int32)
     first = np.zeros(count + 1, np.int64)
+    above, seen = np.empty(count, np.int32), np.empty(count, np.int32)
     for s in range(count):
-        node[begins[s] : begins[s + 1]] = s
+        for j in range(begins[s], begins[s + 1]):
+            place[order[j]], node[j] = j, s
         first[s + 1] = first[s] + below[begins[s + 1] - 1]
-    rows = np.empty(first[count], np.int32)
-    above = np.full(count, -1, np.int32)
-    child = np.full(count, -1, np.int32)
-    sibling = np.full(count, -1, np.int32)
-    seen = np.full(n, -1, np.int32)
+        seen[s] = -1
     for s in range(count):
-        a, b = begins[s], begins[s + 1]
-        end = first[s]
-        for j in range(a, b):
-            v = order[j]
-            for p in range(starts[v], starts[v + 1]):
-                i = place[columns[p]]
-                if i >= b and seen[i] != s:
-                    seen[i] = s
-                    rows[end] = i
-                    end += 1
-        c = child[s]
-        while c >= 0:
-            for p in range(first[c], first[c + 1]):
-                i = rows[p]
-                if i >= b and seen[i] != s:
-                    seen[i] = s
-                    rows[end] = i
-                    end += 1
-            c = sibling[c]
-        rows[first[s] : end].sort()
-        if parent[b - 1] >= 0:
-            above[s] = node[parent[b - 1]]
-            sibling[s] = child[above[s]]
-            child[above[s]] = s
+        up = parent[begins[s + 1] - 1]
+        above[s] = node[up] if up >= 0 else -1
+    rows, end = np.empty(first[count], np.int32), first.copy()
+    for i in range(n):  # it is a row of the supernodes on the way up from its entries to its own
+        seen[node[i]] = i
+        v = order[i]
+        for p in range(starts[v], starts[v + 1]):
+            k = place[columns[p]]
+            if k < i:
+                s = node[k] + 0
+                while seen[s] != i:
+                    seen[s] = i
+                    rows[end[s]] = i
+                    end[s] += 1
+                    s = above[s] + 0
     sizes = np.zeros(2, np.int64)
+    done = np.zeros(count, np.int64)  # numbers of updates that wait for a supernode
     waiting = 0
     for s in range(count):
         u = first[s + 1] - first[s]
         m = u + begins[s + 1] - begins[s]
-        sizes[0] = max(sizes[0], m * m)
-        c = child[s]
-        while c >= 0:
-            k = first[c + 1] - first[c]
-            waiting -= k * (k + 1) // 2
-            c = sibling[c]
-        waiting += u * (u + 1) // 2
-        sizes[1] = max(sizes[1], waiting)
+        own = u * (u + 1) // 2
+        waiting += own - done[s]
+        if above[s] >= 0:
+            done[above[s]] += own
+        sizes[0], sizes[1] = max(sizes[0], m * m), max(sizes[1], waiting)
     return first, rows, above, sizes
 
 
