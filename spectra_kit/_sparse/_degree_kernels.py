@@ -62,7 +62,8 @@ def eliminate(starts: Ints, columns: Ints, lists: Ints, longs: Longs, ints: Ints
                 tail += 1
         end[v] = tail
         degree[v] = tail - begin[v]
-        _put(np.int32(v), degree[v], head, after, before)
+        # The same v of 32 bits, as below: nothing is compiled for two kinds of integers.
+        _put(last[v], degree[v], head, after, before)
     order = np.empty(n, np.int32)
     done = least = 0
     while done < n:
