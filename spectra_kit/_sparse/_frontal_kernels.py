@@ -32,23 +32,21 @@ def elimination_tree(starts: Ints, columns: Ints, order: Ints) -> tuple[Ints, In
     After Liu (*The Role of Elimination Trees in Sparse Factorization*, 1990).
     """
     n = len(order)
-    place = np.empty(n, np.int32)
-    for i in range(n):
+    place, parent, above = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
+    child, sibling = np.empty(n, np.int32), np.empty(n, np.int32)
+    for i in range(n):  # `np.full` would have to be compiled
         place[order[i]] = i
-    parent = np.full(n, -1, np.int32)
-    above = np.full(n, -1, np.int32)  # with short cuts
+        parent[i] = above[i] = child[i] = -1
     for i in range(n):
         v = order[i]
         for p in range(starts[v], starts[v + 1]):
             k = place[columns[p]]
             while k != -1 and k < i:
-                next_one = above[k]
+                next_one = above[k]  # with short cuts
                 above[k] = i
                 if next_one == -1:
                     parent[k] = i
                 k = next_one
-    child = np.full(n, -1, np.int32)
-    sibling = np.full(n, -1, np.int32)
     for i in range(n - 1, -1, -1):
         if parent[i] >= 0:
             sibling[i] = child[parent[i]]
@@ -71,16 +69,13 @@ def elimination_tree(starts: Ints, columns: Ints, order: Ints) -> tuple[Ints, In
                 new[i] = count
                 count += 1
                 top -= 1
-    ordered = np.empty(n, np.int32)
-    up = np.full(n, -1, np.int32)
+    ordered, up = np.empty(n, np.int32), np.empty(n, np.int32)
+    below, seen = np.empty(n, np.int32), np.empty(n, np.int32)
     for i in range(n):
         ordered[new[i]] = order[i]
-        if parent[i] >= 0:
-            up[new[i]] = new[parent[i]]
-    for i in range(n):
-        place[ordered[i]] = i
-    below = np.zeros(n, np.int32)
-    seen = np.full(n, -1, np.int32)
+        place[order[i]] = new[i]
+        up[new[i]] = new[parent[i]] if parent[i] >= 0 else -1
+        below[i], seen[i] = 0, -1
     for i in range(n):  # the entries of row i of L are a subtree: walk it once
         seen[i] = i
         v = ordered[i]

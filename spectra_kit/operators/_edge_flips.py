@@ -81,7 +81,9 @@ def pair_sides(
 
     They must run along it in opposite directions, and be no copies of each other (see `glue`).
     """
-    waiting = np.full(len(starts) - 1, _NONE, np.int32)  # by upper corner: one without partner
+    waiting = np.empty(len(starts) - 1, np.int32)  # by upper corner: one without partner
+    for low in range(len(starts) - 1):
+        waiting[low] = _NONE
     for low in range(len(starts) - 1):
         unpaired = 0
         for at in range(starts[low], starts[low + 1]):
@@ -420,7 +422,8 @@ def cotangent_laplacian(
         for g in range(h, h + 3):
             mass[tails[g]] += area / 3
             starts[tails[g] + 1] += tails[g] != tails[twins[g]]
-    starts = np.cumsum(starts)
+    for i in range(n):
+        starts[i + 1] += starts[i]
     at = starts[:-1].copy()
     rows, weights = np.empty(starts[n], np.int32), np.empty(starts[n])
     for h in range(len(twins)):
