@@ -240,7 +240,9 @@ def factorise(
                     front[row + local[rows[low + j]]] += waiting[at + j - i]
                 at += k - i
         for k0 in range(0, width, 4):
-            k1 = min(k0 + 4, width)
+            is_four = k0 + 4 <= width  # which are taken from the rows below in one pass
+            k1 = k0 + 4 if is_four else width
+            end = k1 if is_four else m
             for k in range(k0, k1):
                 pivot = front[k * m + k]
                 if pivot == 0.0 or not abs(pivot) < np.inf:
@@ -250,11 +252,12 @@ def factorise(
                 row = four[k - k0]
                 for j in range(k, m):
                     row[j] = front[k * m + j]
-                for i in range(k + 1, k1):
+                for i in range(k + 1, end):
                     l0 = row[i] * scale
+                    at = i * m
                     for j in range(i, m):
-                        front[i * m + j] -= l0 * row[j]
-            if k1 - k0 == 4:
+                        front[at + j] -= l0 * row[j]
+            if is_four:
                 r0, r1, r2, r3 = four[0], four[1], four[2], four[3]
                 i0, i1 = 1.0 / pivots[a + k0], 1.0 / pivots[a + k0 + 1]
                 i2, i3 = 1.0 / pivots[a + k0 + 2], 1.0 / pivots[a + k0 + 3]
@@ -264,15 +267,6 @@ def factorise(
                     f0, f1, f2, f3 = r0[i:m], r1[i:m], r2[i:m], r3[i:m]
                     for j in range(len(rest)):
                         rest[j] -= (l0 * f0[j] + l1 * f1[j]) + (l2 * f2[j] + l3 * f3[j])
-            else:
-                for k in range(k0, k1):
-                    row = four[k - k0]
-                    scale = 1.0 / pivots[a + k]
-                    for i in range(k1, m):
-                        l0 = row[i] * scale
-                        at = i * m
-                        for j in range(i, m):
-                            front[at + j] -= l0 * row[j]
         at = panels[s]
         for k in range(width):
             scale = 1.0 / pivots[a + k]
