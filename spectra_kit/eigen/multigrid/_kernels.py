@@ -262,10 +262,14 @@ def galerkin_rows(
     of P with ascending columns.
     """
     n, m = len(lift_starts) - 1, len(restrict_starts) - 1
-    energy, weight = np.zeros(n), np.zeros(n)  # a row of P^T L and one of P^T M
-    reached, touched = np.empty(n, np.int32), np.zeros(n, np.bool_)
-    row_energy, row_mass = np.zeros(m), np.zeros(m)
-    columns, known = np.empty(m, np.int32), np.zeros(m, np.bool_)
+    energy, weight = np.empty(n), np.empty(n)  # a row of P^T L and one of P^T M
+    reached, touched = np.empty(n, np.int32), np.empty(n, np.bool_)
+    row_energy, row_mass = np.empty(m), np.empty(m)
+    columns, known = np.empty(m, np.int32), np.empty(m, np.bool_)
+    for j in range(n):
+        energy[j], weight[j], touched[j] = 0.0, 0.0, False
+    for c in range(m):
+        row_energy[c], row_mass[c], known[c] = 0.0, 0.0, False
     counts = np.empty(last - first, np.int32)
     room = 64 * (last - first) + m
     found, energies, masses = np.empty(room, np.int32), np.empty(room), np.empty(room)
