@@ -6,6 +6,7 @@ left there after `pip uninstall` shadows the next installation.
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import os
 import pickle
@@ -18,9 +19,12 @@ from typing import Any, TypeVar
 import numba
 from numba.core.caching import _Cache
 from numba.core.compiler import CompileResult
+from numba.core.event import Event, Listener, register
+from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
 
+from spectra_kit._core import compiling
 from spectra_kit._core.files import atomic_path
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -78,7 +82,6 @@ class _Kept(_Cache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return what was kept for a signature, or None."""
-        target_context.refresh()
         path = self._path(sig, target_context.codegen())
         if path is None:
             return None
@@ -89,6 +92,9 @@ class _Kept(_Cache):
         digest, kept = content[:32], content[32:]
         if hashlib.sha256(kept).digest() != digest:  # a machine that lost its power, a bad disk
             return None
+        # What runs needs memory. What compiles needs more, which takes 0.2 s to import: numba does
+        # that itself, where it refreshes the context.
+        rtsys.initialize(target_context)
         parts = pickle.loads(kept)
         return CompileResult._rebuild(target_context, *parts)  # type: ignore[no-untyped-call]
 
@@ -113,3 +119,34 @@ class _Kept(_Cache):
         """Nothing to do: numba asks for it, as for the next two."""
 
     disable = flush = enable
+
+
+class _Compiling(Listener):
+    """Tells of what is compiled, and keeps the collector of garbage from looking at it.
+
+    There is none before the end, but so many objects that looking takes a tenth of the time.
+    """
+
+    def __init__(self) -> None:
+        self._collects = gc.isenabled()
+
+    def on_start(self, event: Event) -> None:
+        """One of ours begins; what it calls is compiled within, and is not."""
+        if _is_kept(event):
+            self._collects = gc.isenabled()
+            gc.disable()
+            compiling.tell(True)
+
+    def on_end(self, event: Event) -> None:
+        """It has ended, or failed."""
+        if _is_kept(event):
+            if self._collects:
+                gc.enable()
+            compiling.tell(False)
+
+
+def _is_kept(event: Event) -> bool:
+    return isinstance(event.data["dispatcher"]._cache, _Kept)
+
+
+register("numba:compile", _Compiling())  # type: ignore[no-untyped-call]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from spectra_kit._core.compiled import compiled
 
 Ints = NDArray[np.int32]
+Longs = NDArray[np.int64]
 
 
 @register_jitable
@@ -32,35 +33,37 @@ def _take(v: int, head: Ints, after: Ints, before: Ints) -> None:
 
 
 @compiled()
-def eliminate(starts: Ints, columns: Ints) -> Ints:
+def eliminate(starts: Ints, columns: Ints, lists: Ints, longs: Longs, ints: Ints) -> Ints:
     """Return the points in the order in which they are eliminated.
 
     In a quotient graph: an eliminated point is a front, which stands for the edges between all its
     points. Points with the same neighbours are merged. Degrees are bounds from above.
+
+    To work in: `lists` (2 len(columns) + n,), zeros `longs` (4, n) and -1 in `ints` (11, n + 1).
+    Each kind of array that a loop makes itself costs a tenth of a second to compile.
     """
     n = len(starts) - 1
     # Beside v: so many `fronts` from ``begin[v]`` on, then points, up to ``end[v]``, in place of
     # its neighbours. Those of a front are its points, at the tail when it is made.
-    lists = np.empty(2 * len(columns) + n, np.int32)
-    begin, end = np.empty(n, np.int64), np.empty(n, np.int64)
-    fronts, degree = np.zeros(n, np.int32), np.empty(n, np.int32)
-    weight = np.ones(n, np.int32)  # how many were merged: 0 if gone, negative while in the front
-    alive = np.ones(n, np.bool_)  # fronts that no other one holds
-    follower, last = np.full(n, -1, np.int32), np.arange(n).astype(np.int32)  # merged into v
-    head, after, before = np.full(n + 1, -1, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
-    outside, mark = np.zeros(n, np.int64), np.int64(1)  # of a front: weight not in the new one
-    bucket, chain = np.full(n, -1, np.int32), np.empty(n, np.int32)
-    key, seen = np.empty(n, np.int32), np.zeros(n, np.int64)
+    begin, end, fronts = longs[0], longs[1], ints[0]
+    degree = ints[1]  # of a front: 0 if another one holds it
+    weight = ints[2]  # how many were merged: 0 if gone, negative while in the front
+    follower, last = ints[3], ints[4]  # merged into v
+    head, after, before = ints[5], ints[6], ints[7]
+    outside, mark = longs[2], np.int64(1)  # of a front: weight not in the new one
+    bucket, chain = ints[8], ints[9]
+    key, seen = ints[10], longs[3]
     stamp, tail = np.int64(0), np.int64(0)
     for v in range(n):
-        begin[v] = tail
+        begin[v], fronts[v], weight[v], last[v] = tail, 0, 1, v
         for p in range(starts[v], starts[v + 1]):
             if columns[p] != v:
                 lists[tail] = columns[p]
                 tail += 1
         end[v] = tail
         degree[v] = tail - begin[v]
-        _put(v, degree[v], head, after, before)
+        # The same v of 32 bits, as below: nothing is compiled for two kinds of integers.
+        _put(last[v], degree[v], head, after, before)
     order = np.empty(n, np.int32)
     done = least = 0
     while done < n:
@@ -77,16 +80,17 @@ def eliminate(starts: Ints, columns: Ints) -> Ints:
             most += end[lists[p]] - begin[lists[p]]
         if tail + most > len(lists):
             longer = np.empty(2 * (tail + most), np.int32)
-            longer[:tail] = lists[:tail]
+            for p in range(tail):  # a slice would have its error message compiled
+                longer[p] = lists[p]
             lists = longer
         first, total = tail, 0
         for p in range(begin[pivot], own + 1):
             low, high = own, end[pivot]
             if p < own:
                 e = lists[p]
-                if not alive[e]:
+                if degree[e] == 0:
                     continue
-                alive[e] = False
+                degree[e] = 0
                 low, high = begin[e], end[e]
             for q in range(low, high):
                 v = lists[q]
@@ -101,7 +105,7 @@ def eliminate(starts: Ints, columns: Ints) -> Ints:
             v = lists[p]
             for q in range(begin[v], begin[v] + fronts[v]):
                 e = lists[q]
-                if alive[e]:
+                if degree[e] > 0:
                     if outside[e] < mark:
                         outside[e] = mark + degree[e]
                     outside[e] += weight[v]
@@ -112,14 +116,14 @@ def eliminate(starts: Ints, columns: Ints) -> Ints:
             at, old, bound, total_key = begin[v], begin[v] + fronts[v], 0, np.int64(pivot)
             for q in range(at, old):
                 e = lists[q]
-                if alive[e]:
+                if degree[e] > 0:
                     if outside[e] > mark:
                         bound += outside[e] - mark
                         total_key += e
                         lists[at] = e
                         at += 1
                     else:  # the new one holds all of it
-                        alive[e] = False
+                        degree[e] = 0
             fronts[v] = at - begin[v] + 1
             if at == old:  # the pivot is among the points: its place is for its front
                 q = old
@@ -143,7 +147,8 @@ def eliminate(starts: Ints, columns: Ints) -> Ints:
                 weight[v] = 0
                 follower[last[pivot]], last[pivot] = v, last[v]
                 continue
-            degree[v] = min(degree[v], bound)
+            if degree[v] > bound:
+                degree[v] = bound
             key[v] = total_key % n
             chain[v], bucket[key[v]] = bucket[key[v]], v
         for p in range(first, many):  # merge those with the same neighbours
@@ -176,12 +181,15 @@ def eliminate(starts: Ints, columns: Ints) -> Ints:
             v = lists[p]
             if weight[v] < 0:
                 weight[v] = -weight[v]
-                degree[v] = min(degree[v] + total - weight[v], n - done - size - weight[v])
+                degree[v] += total - weight[v]
+                if degree[v] > n - done - size - weight[v]:
+                    degree[v] = n - done - size - weight[v]
                 _put(v, degree[v], head, after, before)
-                least = min(least, degree[v])
+                if least > degree[v]:
+                    least = degree[v]
                 lists[tail] = v
                 tail += 1
-        end[pivot], degree[pivot], alive[pivot] = tail, total, total > 0
+        end[pivot], degree[pivot] = tail, total
         while pivot >= 0:
             order[done] = pivot
             done += 1

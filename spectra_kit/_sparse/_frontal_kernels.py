@@ -32,23 +32,21 @@ def elimination_tree(starts: Ints, columns: Ints, order: Ints) -> tuple[Ints, In
     After Liu (*The Role of Elimination Trees in Sparse Factorization*, 1990).
     """
     n = len(order)
-    place = np.empty(n, np.int32)
-    for i in range(n):
+    place, parent, above = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
+    child, sibling = np.empty(n, np.int32), np.empty(n, np.int32)
+    for i in range(n):  # `np.full` would have to be compiled
         place[order[i]] = i
-    parent = np.full(n, -1, np.int32)
-    above = np.full(n, -1, np.int32)  # with short cuts
+        parent[i] = above[i] = child[i] = -1
     for i in range(n):
         v = order[i]
         for p in range(starts[v], starts[v + 1]):
             k = place[columns[p]]
             while k != -1 and k < i:
-                next_one = above[k]
+                next_one = above[k]  # with short cuts
                 above[k] = i
                 if next_one == -1:
                     parent[k] = i
                 k = next_one
-    child = np.full(n, -1, np.int32)
-    sibling = np.full(n, -1, np.int32)
     for i in range(n - 1, -1, -1):
         if parent[i] >= 0:
             sibling[i] = child[parent[i]]
@@ -71,16 +69,13 @@ def elimination_tree(starts: Ints, columns: Ints, order: Ints) -> tuple[Ints, In
                 new[i] = count
                 count += 1
                 top -= 1
-    ordered = np.empty(n, np.int32)
-    up = np.full(n, -1, np.int32)
+    ordered, up = np.empty(n, np.int32), np.empty(n, np.int32)
+    below, seen = np.empty(n, np.int32), np.empty(n, np.int32)
     for i in range(n):
         ordered[new[i]] = order[i]
-        if parent[i] >= 0:
-            up[new[i]] = new[parent[i]]
-    for i in range(n):
-        place[ordered[i]] = i
-    below = np.zeros(n, np.int32)
-    seen = np.full(n, -1, np.int32)
+        place[order[i]] = new[i]
+        up[new[i]] = new[parent[i]] if parent[i] >= 0 else -1
+        below[i], seen[i] = 0, -1
     for i in range(n):  # the entries of row i of L are a subtree: walk it once
         seen[i] = i
         v = ordered[i]
@@ -147,57 +142,41 @@ def front_rows(
     The last are the most numbers that a front holds, and those of updates that wait.
     """
     n, count = len(order), len(begins) - 1
-    place = np.empty(n, np.int32)
-    for i in range(n):
-        place[order[i]] = i
-    node = np.empty(n, np.int32)
+    place, node = np.empty(n, np.int32), np.empty(n, np.int32)
     first = np.zeros(count + 1, np.int64)
+    above, seen = np.empty(count, np.int32), np.empty(count, np.int32)
     for s in range(count):
-        node[begins[s] : begins[s + 1]] = s
+        for j in range(begins[s], begins[s + 1]):
+            place[order[j]], node[j] = j, s
         first[s + 1] = first[s] + below[begins[s + 1] - 1]
-    rows = np.empty(first[count], np.int32)
-    above = np.full(count, -1, np.int32)
-    child = np.full(count, -1, np.int32)
-    sibling = np.full(count, -1, np.int32)
-    seen = np.full(n, -1, np.int32)
+        seen[s] = -1
     for s in range(count):
-        a, b = begins[s], begins[s + 1]
-        end = first[s]
-        for j in range(a, b):
-            v = order[j]
-            for p in range(starts[v], starts[v + 1]):
-                i = place[columns[p]]
-                if i >= b and seen[i] != s:
-                    seen[i] = s
-                    rows[end] = i
-                    end += 1
-        c = child[s]
-        while c >= 0:
-            for p in range(first[c], first[c + 1]):
-                i = rows[p]
-                if i >= b and seen[i] != s:
-                    seen[i] = s
-                    rows[end] = i
-                    end += 1
-            c = sibling[c]
-        rows[first[s] : end].sort()
-        if parent[b - 1] >= 0:
-            above[s] = node[parent[b - 1]]
-            sibling[s] = child[above[s]]
-            child[above[s]] = s
+        up = parent[begins[s + 1] - 1]
+        above[s] = node[up] if up >= 0 else -1
+    rows, end = np.empty(first[count], np.int32), first.copy()
+    for i in range(n):  # it is a row of the supernodes on the way up from its entries to its own
+        seen[node[i]] = i
+        v = order[i]
+        for p in range(starts[v], starts[v + 1]):
+            k = place[columns[p]]
+            if k < i:
+                s = node[k] + 0
+                while seen[s] != i:
+                    seen[s] = i
+                    rows[end[s]] = i
+                    end[s] += 1
+                    s = above[s] + 0
     sizes = np.zeros(2, np.int64)
+    done = np.zeros(count, np.int64)  # numbers of updates that wait for a supernode
     waiting = 0
     for s in range(count):
         u = first[s + 1] - first[s]
         m = u + begins[s + 1] - begins[s]
-        sizes[0] = max(sizes[0], m * m)
-        c = child[s]
-        while c >= 0:
-            k = first[c + 1] - first[c]
-            waiting -= k * (k + 1) // 2
-            c = sibling[c]
-        waiting += u * (u + 1) // 2
-        sizes[1] = max(sizes[1], waiting)
+        own = u * (u + 1) // 2
+        waiting += own - done[s]
+        if above[s] >= 0:
+            done[above[s]] += own
+        sizes[0], sizes[1] = max(sizes[0], m * m), max(sizes[1], waiting)
     return first, rows, above, sizes
 
 
@@ -261,7 +240,9 @@ def factorise(
                     front[row + local[rows[low + j]]] += waiting[at + j - i]
                 at += k - i
         for k0 in range(0, width, 4):
-            k1 = min(k0 + 4, width)
+            is_four = k0 + 4 <= width  # which are taken from the rows below in one pass
+            k1 = k0 + 4 if is_four else width
+            end = k1 if is_four else m
             for k in range(k0, k1):
                 pivot = front[k * m + k]
                 if pivot == 0.0 or not abs(pivot) < np.inf:
@@ -271,11 +252,12 @@ def factorise(
                 row = four[k - k0]
                 for j in range(k, m):
                     row[j] = front[k * m + j]
-                for i in range(k + 1, k1):
+                for i in range(k + 1, end):
                     l0 = row[i] * scale
+                    at = i * m
                     for j in range(i, m):
-                        front[i * m + j] -= l0 * row[j]
-            if k1 - k0 == 4:
+                        front[at + j] -= l0 * row[j]
+            if is_four:
                 r0, r1, r2, r3 = four[0], four[1], four[2], four[3]
                 i0, i1 = 1.0 / pivots[a + k0], 1.0 / pivots[a + k0 + 1]
                 i2, i3 = 1.0 / pivots[a + k0 + 2], 1.0 / pivots[a + k0 + 3]
@@ -285,15 +267,6 @@ def factorise(
                     f0, f1, f2, f3 = r0[i:m], r1[i:m], r2[i:m], r3[i:m]
                     for j in range(len(rest)):
                         rest[j] -= (l0 * f0[j] + l1 * f1[j]) + (l2 * f2[j] + l3 * f3[j])
-            else:
-                for k in range(k0, k1):
-                    row = four[k - k0]
-                    scale = 1.0 / pivots[a + k]
-                    for i in range(k1, m):
-                        l0 = row[i] * scale
-                        at = i * m
-                        for j in range(i, m):
-                            front[at + j] -= l0 * row[j]
         at = panels[s]
         for k in range(width):
             scale = 1.0 / pivots[a + k]

@@ -25,7 +25,8 @@ Ints = NDArray[np.int64] | NDArray[np.int32]
 def _four(columns: Ints, values: Reals, p: int, end: int) -> tuple[Any, ...]:
     """Return four entries of a sparse row from `p` on, and their columns; zeros from `end` on.
 
-    Four rows of a dense block then go into one pass over its sums, the last ones, too.
+    Four rows of a dense block then go into one pass over its sums, the last ones, too. Callers make
+    `p` an integer of 64 bits: nothing is compiled for two kinds.
     """
     last, zero = end - 1, values.dtype.type(0)
     q1, q2, q3 = min(p + 1, last), min(p + 2, last), min(p + 3, last)
@@ -44,7 +45,7 @@ def multiply_rows(
     for i in range(start, stop):
         for c in range(width):
             out[i, c] = 0
-        p, end = indptr[i], indptr[i + 1]
+        p, end = indptr[i] + 0, indptr[i + 1]
         while p < end:
             v0, v1, v2, v3, j0, j1, j2, j3 = _four(columns, values, p, end)
             for c in range(width):
@@ -111,7 +112,7 @@ def residual_rows(
     for i in range(start, stop):
         for c in range(width):
             row[c] = -mass[i] * values[c] * X[i, c]
-        p, end = indptr[i], indptr[i + 1]
+        p, end = indptr[i] + 0, indptr[i + 1]
         while p < end:
             v0, v1, v2, v3, j0, j1, j2, j3 = _four(columns, entries, p, end)
             for c in range(width):
@@ -149,7 +150,7 @@ def smoothing_step(
     s = old.shape[1]
     row = np.empty(s, np.float32)
     for i in range(first, last):
-        p, end = mass_starts[i], mass_starts[i + 1]
+        p, end = mass_starts[i] + 0, mass_starts[i + 1]
         if end == p + 1:  # a diagonal mass
             weight, j = mass[p], mass_neighbours[p]
             for c in range(s):
@@ -164,7 +165,7 @@ def smoothing_step(
                         (v0 * old[j0, c] + v1 * old[j1, c]) + (v2 * old[j2, c] + v3 * old[j3, c])
                     )
                 p += 4
-        p, end = starts[i], starts[i + 1]
+        p, end = starts[i] + 0, starts[i + 1]
         while p < end:
             v0, v1, v2, v3, j0, j1, j2, j3 = _four(neighbours, stiffness, p, end)
             for c in range(s):

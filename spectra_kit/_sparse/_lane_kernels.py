@@ -91,15 +91,30 @@ def _put(typing: Any, array: Any, i: Any, lanes: Any) -> Any:
 
 
 @_instruction
-def _less(typing: Any, x: Any, factor: Any, y: Any) -> Any:
-    """``x - factor * y`` of two rows."""
+def _copy(typing: Any, target: Any, i: Any, source: Any, j: Any) -> Any:
+    """Write row j of one array to row i of another."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        x, factor, y = arguments
+        there, _ = _row(context, builder, signature.args[0], *arguments[:2])
+        here, alignment = _row(context, builder, signature.args[2], *arguments[2:])
+        builder.store(builder.load(here, align=alignment), there, align=alignment)
+        return context.get_dummy_value()
+
+    return types.void(target, types.intp, source, types.intp), generate
+
+
+@_instruction
+def _less(typing: Any, x: Any, array: Any, i: Any, y: Any) -> Any:
+    """``x - array[i] * y`` of two rows."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        x, array, i, y = arguments
+        numbers = context.make_array(signature.args[1])(context, builder, array).data
+        factor = builder.load(builder.gep(numbers, [i]))
         product = builder.fmul(_in_all_lanes(builder, factor, y.type), y, flags=_FUSED)
         return builder.fsub(x, product, flags=_FUSED)
 
-    return x(x, x.dtype, y), generate
+    return x(x, array, types.intp, y), generate
 
 
 @_instruction
@@ -153,41 +168,37 @@ def solve_columns(
         if nothing:  # as in most runs where few entries of `rhs` are not zero
             continue
         for k in range(width):
-            _put(work, k, _take(y, a + k))
+            _copy(work, k, y, a + k)
         for k in range(u):
-            _put(work, width + k, _take(y, rows[low + k]))
-        k = 0
+            _copy(work, width + k, y, rows[low + k])
+        k, p0 = 0, panels[s] - 1  # p0 + j: entry k + j of column k; p1 + j: of the next one
         while k + 4 <= width:
-            p0 = panels[s] + k * m - k * (k + 3) // 2 - 1  # p0 + j: entry j of column k
             p1 = p0 + m - k - 2
             p2 = p1 + m - k - 3
             p3 = p2 + m - k - 4
             w0 = _take(work, k)
-            w1 = _less(_take(work, k + 1), factor[p0 + k + 1], w0)
-            w2 = _less(_take(work, k + 2), factor[p0 + k + 2], w0)
-            w2 = _less(w2, factor[p1 + k + 2], w1)
-            w3 = _less(_take(work, k + 3), factor[p0 + k + 3], w0)
-            w3 = _less(_less(w3, factor[p1 + k + 3], w1), factor[p2 + k + 3], w2)
+            w1 = _less(_take(work, k + 1), factor, p0 + 1, w0)
+            w2 = _less(_less(_take(work, k + 2), factor, p0 + 2, w0), factor, p1 + 2, w1)
+            w3 = _less(_less(_take(work, k + 3), factor, p0 + 3, w0), factor, p1 + 3, w1)
+            w3 = _less(w3, factor, p2 + 3, w2)
             _put(work, k + 1, w1)
             _put(work, k + 2, w2)
             _put(work, k + 3, w3)
-            f0, f1 = factor[p0 + k + 4 : p0 + m], factor[p1 + k + 4 : p1 + m]
-            f2, f3 = factor[p2 + k + 4 : p2 + m], factor[p3 + k + 4 : p3 + m]
-            for j in range(len(f0)):
-                x = _less(_less(_take(work, k + 4 + j), f0[j], w0), f1[j], w1)
-                _put(work, k + 4 + j, _less(_less(x, f2[j], w2), f3[j], w3))
+            for j in range(4, m - k):
+                x = _less(_less(_take(work, k + j), factor, p0 + j, w0), factor, p1 + j, w1)
+                _put(work, k + j, _less(_less(x, factor, p2 + j, w2), factor, p3 + j, w3))
+            p0 = p3 + m - k - 1
             k += 4
         while k < width:
-            p0 = panels[s] + k * m - k * (k + 3) // 2 - 1
-            f0 = factor[p0 + k + 1 : p0 + m]
             w0 = _take(work, k)
-            for j in range(len(f0)):
-                _put(work, k + 1 + j, _less(_take(work, k + 1 + j), f0[j], w0))
+            for j in range(1, m - k):
+                _put(work, k + j, _less(_take(work, k + j), factor, p0 + j, w0))
+            p0 += m - k - 1
             k += 1
         for k in range(width):
-            _put(y, a + k, _take(work, k))
+            _copy(y, a + k, work, k)
         for k in range(u):
-            _put(y, rows[low + k], _take(work, width + k))
+            _copy(y, rows[low + k], work, width + k)
     for s in range(count - 1, -1, -1):
         a, width, low = begins[s], begins[s + 1] - begins[s], first[s]
         u = first[s + 1] - low
@@ -195,40 +206,37 @@ def solve_columns(
         for k in range(width):
             _put(work, k, _times(inverse[a + k], _take(y, a + k)))
         for k in range(u):
-            _put(work, width + k, _take(y, rows[low + k]))
-        k = width
+            _copy(work, width + k, y, rows[low + k])
+        k, p0 = width, panels[s + 1] - 1
         while k % 4 > 0:
             k -= 1
-            p0 = panels[s] + k * m - k * (k + 3) // 2 - 1
-            f0 = factor[p0 + k + 1 : p0 + m]
+            p0 -= m - k - 1
             w0 = _take(work, k)
-            for j in range(len(f0)):
-                w0 = _less(w0, f0[j], _take(work, k + 1 + j))
+            for j in range(1, m - k):
+                w0 = _less(w0, factor, p0 + j, _take(work, k + j))
             _put(work, k, w0)
         while k > 0:
             k -= 4
-            p0 = panels[s] + k * m - k * (k + 3) // 2 - 1
+            p0 -= 4 * (m - k) - 10
             p1 = p0 + m - k - 2
             p2 = p1 + m - k - 3
             p3 = p2 + m - k - 4
-            f0, f1 = factor[p0 + k + 4 : p0 + m], factor[p1 + k + 4 : p1 + m]
-            f2, f3 = factor[p2 + k + 4 : p2 + m], factor[p3 + k + 4 : p3 + m]
             w0, w1 = _take(work, k), _take(work, k + 1)
             w2, w3 = _take(work, k + 2), _take(work, k + 3)
-            for j in range(len(f0)):
-                x = _take(work, k + 4 + j)
-                w0, w1 = _less(w0, f0[j], x), _less(w1, f1[j], x)
-                w2, w3 = _less(w2, f2[j], x), _less(w3, f3[j], x)
-            w2 = _less(w2, factor[p2 + k + 3], w3)
-            w1 = _less(_less(w1, factor[p1 + k + 2], w2), factor[p1 + k + 3], w3)
-            w0 = _less(_less(w0, factor[p0 + k + 1], w1), factor[p0 + k + 2], w2)
-            w0 = _less(w0, factor[p0 + k + 3], w3)
+            for j in range(4, m - k):
+                x = _take(work, k + j)
+                w0, w1 = _less(w0, factor, p0 + j, x), _less(w1, factor, p1 + j, x)
+                w2, w3 = _less(w2, factor, p2 + j, x), _less(w3, factor, p3 + j, x)
+            w2 = _less(w2, factor, p2 + 3, w3)
+            w1 = _less(_less(w1, factor, p1 + 2, w2), factor, p1 + 3, w3)
+            w0 = _less(_less(w0, factor, p0 + 1, w1), factor, p0 + 2, w2)
+            w0 = _less(w0, factor, p0 + 3, w3)
             _put(work, k, w0)
             _put(work, k + 1, w1)
             _put(work, k + 2, w2)
             _put(work, k + 3, w3)
         for k in range(width):
-            _put(y, a + k, _take(work, k))
+            _copy(y, a + k, work, k)
     for i in range(n):
         for c in range(many):
             out[order[i], left + c] = y[i, c]

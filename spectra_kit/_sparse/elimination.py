@@ -32,7 +32,15 @@ def minimum_degree(matrix: sparse.csr_array) -> NDArray[np.int32]:
         others = np.setdiff1d(np.arange(len(degrees)), hubs)
         rest = others[minimum_degree(sparse.csr_array(matrix[others][:, others]))]
         return np.append(rest, hubs).astype(np.int32)
-    return eliminate(matrix.indptr, matrix.indices)
+    n = len(degrees)
+    lists = np.empty(2 * matrix.nnz + n, np.int32)
+    longs, ints = np.zeros((4, n), np.int64), np.full((11, n + 1), -1, np.int32)
+    return eliminate(*pattern(matrix), lists, longs, ints)
+
+
+def pattern(matrix: sparse.csr_array) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Return starts and columns that can be written to: loops are compiled for such alone."""
+    return np.require(matrix.indptr, None, "W"), np.require(matrix.indices, None, "W")
 
 
 _MAX_ENTRIES = 2**31 - 1  # of a matrix: 32-bit indices
@@ -102,7 +110,7 @@ def analysed(A: sparse.csr_array) -> Elimination:
 
     if A.nnz > _MAX_ENTRIES:
         raise InvalidInputError("matrix", f"have at most {_MAX_ENTRIES} entries", A.nnz)
-    starts, columns = (np.require(part, None, "W") for part in (A.indptr, A.indices))
+    starts, columns = pattern(A)
     order, parent, below = kernels.elimination_tree(starts, columns, minimum_degree(A))
     begins = kernels.supernodes(parent, below)
     first, rows, above, sizes = kernels.front_rows(starts, columns, order, parent, below, begins)

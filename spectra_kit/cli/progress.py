@@ -8,16 +8,18 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from typing import Any
 
+from spectra_kit._core.compiling import heard_by
 from spectra_kit._core.shown import printable
 from spectra_kit.cli.words import told
 
 _TICK = 0.1  # seconds
 STDOUT = "standard output"  # in errors of what is printed
 _LONG = 1.0  # seconds; a step that took less leaves no line behind
+_COMPILES = "compiling for this processor: that takes some seconds, once"
 _QUIET = ContextVar("quiet", default=False)
 
 
@@ -28,7 +30,8 @@ def telling(*, quiet: bool) -> Iterator[None]:
     shown = warnings.showwarning
     warnings.showwarning = lambda message, *_: say(f"warning: {told(message)}")
     try:
-        yield
+        with nullcontext() if _unseen() else heard_by(_Compiling()):
+            yield
     finally:
         warnings.showwarning = shown
         _QUIET.reset(token)
@@ -66,7 +69,7 @@ def _line(text: str, **options: Any) -> Iterator[Any]:
     from tqdm import tqdm
 
     text = printable(text)
-    if _QUIET.get() or not sys.stderr.isatty():
+    if _unseen():
         yield tqdm(disable=True)
         return
     start = time.perf_counter()
@@ -81,6 +84,31 @@ def _line(text: str, **options: Any) -> Iterator[Any]:
         sys.stderr.write(f"\r{'':{width}}\r")
     if (seconds := time.perf_counter() - start) >= _LONG:
         sys.stderr.write(f"{text}: done in {seconds:.1f} s\n")
+
+
+def _unseen() -> bool:
+    return _QUIET.get() or not sys.stderr.isatty()
+
+
+class _Compiling:
+    """Says that loops are compiled, once that has taken as long as a step that is told of."""
+
+    _start: float
+    _timer: threading.Timer
+
+    def __init__(self) -> None:
+        self._left = _LONG
+
+    def __call__(self, begins: bool) -> None:
+        if begins:
+            self._start = time.perf_counter()
+            self._timer = threading.Timer(self._left, say, [_COMPILES])
+            self._timer.daemon = True
+            if self._left > 0:
+                self._timer.start()
+        else:
+            self._timer.cancel()
+            self._left -= time.perf_counter() - self._start
 
 
 def _tick(bar: Any, stop: threading.Event) -> None:

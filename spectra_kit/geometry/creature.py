@@ -12,7 +12,6 @@ import igl
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
-from scipy.spatial import cKDTree
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import frozen
@@ -286,6 +285,8 @@ def creature_pair(
     >>> source.n, target.n, point_map.shape
     (800, 600, (600,))
     """
+    from scipy.spatial import cKDTree  # slow to import
+
     sizes = n_source, n_target or n_source
     for name, n, pose in zip(("n_source", "n_target"), sizes, poses, strict=True):
         check_count(name, n, low=500, high=5_000_000)

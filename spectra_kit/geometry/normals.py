@@ -7,7 +7,6 @@ from heapq import heapify, heappop, heappush
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
-from scipy.spatial import cKDTree
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats, Ints
@@ -115,6 +114,8 @@ def _check_cloud(cloud: PointCloud) -> Floats:
 
 
 def _neighbors(points: Floats, n_neighbors: int) -> tuple[Floats, Ints]:
+    from scipy.spatial import cKDTree  # slow to import
+
     k = min(check_count("n_neighbors", n_neighbors, low=2), len(points) - 1)
     distances, near = cKDTree(points).query(points, k + 1)
     return distances[:, 1:], near[:, 1:]
@@ -184,6 +185,8 @@ def turn_outwards(
     is the mean of 1 inside and 0 outside, whatever the sign of the point's own normal; on a limb
     whose normals all point inwards it is the mean of -1 and 0.
     """
+    from scipy.spatial import cKDTree  # slow to import
+
     signs = signs.copy()
     groups = np.split(np.argsort(labels, kind="stable"), np.cumsum(np.bincount(labels))[:-1])
     for group in groups:

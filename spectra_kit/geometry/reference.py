@@ -8,7 +8,6 @@ from itertools import combinations
 
 import igl
 import numpy as np
-from scipy.special import jn_zeros, jnp_zeros
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt, frozen
@@ -184,6 +183,8 @@ def disk(*, rings: int = 18, radius: float = 1.0, k: int = 100) -> Reference:
     >>> disk(k=1).dirichlet
     array([5.78])
     """
+    from scipy.special import jn_zeros, jnp_zeros  # slow to import
+
     check_count("k", k, low=1, high=10_000)
     _check_numbers({"rings": (rings, 1)}, radius=radius)
     # Zeros of order m lie above m, and those of one order about pi apart; Weyl puts the k-th of

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from itertools import chain, pairwise
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import quantity
@@ -61,6 +60,8 @@ def joined(points: Floats, reach: Floats) -> Ints:
     That is the earliest one not joined itself within the smaller `reach` of the two. So none moves
     farther than that, and points that follow each other are not drawn together in a chain.
     """
+    from scipy.spatial import cKDTree  # slow to import
+
     label = np.arange(len(points))
     if len(points) < 2:
         return label
@@ -200,6 +201,8 @@ def points_inside(points: Floats, edges: Ints, reach: Floats) -> tuple[Ints, Int
     Numbers of both, (h,). Boundary edges (e, 2) are given by the places (n, 3) of their ends, each
     of which is there once; `reach` (n,) is how far off an edge each may lie.
     """
+    from scipy.spatial import cKDTree  # slow to import
+
     unit = box_unit(points)
     points, reach = points / unit, reach / unit
     start, end = points[edges].transpose(1, 0, 2)

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
-from scipy.spatial import cKDTree
 
 from spectra_kit._core.threads import in_threads, ranges
 from spectra_kit._core.types import Bools, Floats, Ints, Ints32
@@ -130,6 +129,8 @@ class OrderedCloud(NamedTuple):
 
 
 def ordered_cloud(cloud: PointCloud, n_neighbors: int) -> OrderedCloud:
+    from scipy.spatial import cKDTree  # slow to import
+
     n_neighbors = check_cloud_usable(cloud, n_neighbors)
     order, unit = cKDTree(cloud.points).indices, unit_of(cloud)
     return OrderedCloud(cloud, n_neighbors, order, unit, cloud.points[order] / unit)

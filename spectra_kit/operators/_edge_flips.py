@@ -81,7 +81,9 @@ def pair_sides(
 
     They must run along it in opposite directions, and be no copies of each other (see `glue`).
     """
-    waiting = np.full(len(starts) - 1, _NONE, np.int32)  # by upper corner: one without partner
+    waiting = np.empty(len(starts) - 1, np.int32)  # by upper corner: one without partner
+    for low in range(len(starts) - 1):
+        waiting[low] = _NONE
     for low in range(len(starts) - 1):
         unpaired = 0
         for at in range(starts[low], starts[low + 1]):
@@ -220,13 +222,13 @@ def flip_to_delaunay(
     Also return both half-edges (flips, 2) of each edge that was flipped and its length (flips,)
     before, in their order; none unless `recorded`.
     """
-    waiting = np.zeros(len(tails), np.bool_)
-    stack = np.empty(len(tails), np.int32)
+    waiting, stack = np.empty(len(tails), np.bool_), np.empty(len(tails), np.int32)
     flipped, before = np.empty((len(tails) if recorded else 0, 2), np.int32), np.empty(0)
     if recorded:
         before = np.empty(len(tails))
     top = 0
     for h in range(len(tails)):
+        waiting[h] = False
         if h < twins[h] and _is_bad(lengths, h, twins[h] + 0, slack):
             stack[top], waiting[h] = h, True
             top += 1
@@ -242,8 +244,7 @@ def flip_to_delaunay(
             return False, flipped[:0], before[:0]
         if recorded:
             if flips == len(before):
-                flipped = np.concatenate((flipped, np.empty_like(flipped)))
-                before = np.concatenate((before, np.empty_like(before)))
+                flipped, before = _longer(flipped, before)
             flipped[flips, 0], flipped[flips, 1], before[flips] = h, g, lengths[h]
         _flip(tails, lengths, twins, h, g)
         flips += 1
@@ -283,8 +284,7 @@ def flip_in_order(
         if flips == most:
             return False, flipped[:0], before[:0]
         if flips == len(before):
-            flipped = np.concatenate((flipped, np.empty_like(flipped)))
-            before = np.concatenate((before, np.empty_like(before)))
+            flipped, before = _longer(flipped, before)
         flipped[flips, 0], flipped[flips, 1], before[flips] = h, g, lengths[h]
         flips += 1
         bc, ca, ad, db = _next(h), _previous(h), _next(g), _previous(g)
@@ -339,6 +339,16 @@ def undo_flips(lengths: Floats, slopes: Floats, flipped: Ints32, before: Floats)
             - (1 - dx / ab) * (along + across * dx / down)
         )
         slopes[g] = 0.0
+
+
+@register_jitable
+def _longer(flipped: Ints32, before: Floats) -> tuple[Ints32, Floats]:
+    """Return copies with twice the room."""
+    n = len(before)
+    more, longer = np.empty((2 * n, 2), np.int32), np.empty(2 * n)
+    for i in range(n):  # `np.concatenate` takes longer to compile
+        more[i, 0], more[i, 1], longer[i] = flipped[i, 0], flipped[i, 1], before[i]
+    return more, longer
 
 
 @register_jitable
@@ -420,7 +430,8 @@ def cotangent_laplacian(
         for g in range(h, h + 3):
             mass[tails[g]] += area / 3
             starts[tails[g] + 1] += tails[g] != tails[twins[g]]
-    starts = np.cumsum(starts)
+    for i in range(n):
+        starts[i + 1] += starts[i]
     at = starts[:-1].copy()
     rows, weights = np.empty(starts[n], np.int32), np.empty(starts[n])
     for h in range(len(twins)):

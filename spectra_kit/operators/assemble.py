@@ -9,7 +9,6 @@ import igl
 import numpy as np
 import robust_laplacian as rl
 from scipy import sparse
-from scipy.spatial import cKDTree
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
@@ -295,6 +294,8 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     >>> laplacian.kernel_dimension
     1
     """
+    from scipy.spatial import cKDTree  # slow to import
+
     clock = Clock()
     points = geometry.points / unit_of(geometry)
     n = len(points)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count, check_positive, quantity
@@ -201,6 +200,8 @@ def _is_line(offsets: Floats) -> bool:
 
 def _gaps(points: Floats, labels: Ints) -> Floats:
     """Return how far the nearest point of another part is, (n,): the numbers differ in some bit."""
+    from scipy.spatial import cKDTree  # slow to import
+
     gaps = np.full(len(points), np.inf)
     for bit in range(int(labels.max()).bit_length()):
         ones = (labels >> bit & 1).astype(bool)

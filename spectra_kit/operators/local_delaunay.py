@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from spectra_kit._core.threads import in_threads, ranges, thread_count
 from spectra_kit._core.types import Bools, Floats, Ints32
@@ -46,7 +45,7 @@ def local_triangles(
     # they look about three times as far as the next line is, as 30 neighbours elsewhere do.
     asked, planes = np.flatnonzero(stars.lined), np.zeros(n, dtype=np.int8)
     if len(asked):
-        tree, ties = cKDTree(points), _ties(nearest)
+        tree, ties = _tree(points), _ties(nearest)
     while len(asked) and n_neighbors < min(_WIDEST, n - 1):
         n_neighbors = min(2 * n_neighbors, n - 1)
         for rows in np.array_split(asked, -(-len(asked) * n_neighbors // _ENTRIES)):
@@ -72,7 +71,7 @@ class FirstStars(NamedTuple):
 def first_stars(points: Floats, n_neighbors: int) -> FirstStars:
     """Begin to look for the triangles of a cloud."""
     rows = np.arange(len(points))
-    neighbors, nearest, _, farthest = _nearest(cKDTree(points), rows, n_neighbors)
+    neighbors, nearest, _, farthest = _nearest(_tree(points), rows, n_neighbors)
     _check_apart(nearest)
     stars = _stars(points, _ties(nearest), rows, neighbors)
     return FirstStars(stars, nearest, farthest)
@@ -90,7 +89,7 @@ def _check_apart(nearest: Floats) -> None:
 
 def nearest_by_tree(points: Floats, k: int) -> Ints32:
     """Return the k nearest neighbours of all points, (n, k)."""
-    return _nearest(cKDTree(points), np.arange(len(points)), k)[0]
+    return _nearest(_tree(points), np.arange(len(points)), k)[0]
 
 
 def _ties(nearest: Floats) -> Floats:
@@ -119,9 +118,13 @@ class Stars(NamedTuple):
         return triangles.astype(np.int32)
 
 
-def _nearest(
-    tree: cKDTree, rows: NDArray[np.int64], k: int
-) -> tuple[Ints32, Floats, Floats, Floats]:
+def _tree(points: Floats) -> Any:
+    from scipy.spatial import cKDTree  # slow to import
+
+    return cKDTree(points)
+
+
+def _nearest(tree: Any, rows: NDArray[np.int64], k: int) -> tuple[Ints32, Floats, Floats, Floats]:
     """Return the k neighbours (p, k) of some points; how far first, middle and last are, (p,)."""
     near, distances = np.empty((len(rows), k), dtype=np.int32), np.empty((3, len(rows)))
     for b in (slice(*cut) for cut in ranges(len(rows), _BLOCK)):

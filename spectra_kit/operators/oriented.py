@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
-from scipy.spatial import cKDTree
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt, frozen
@@ -361,6 +360,8 @@ def _along_sides(f: Floats, faces: Ints) -> tuple[Floats, Floats, Floats]:
 
 def _oriented_local_triangles(cloud: PointCloud, n_neighbors: int) -> tuple[Ints, Floats, float]:
     """Return triangles of shape (f, 3), their areas, and the share whose corners agree."""
+    from scipy.spatial import cKDTree  # slow to import
+
     n_neighbors = check_cloud_usable(cloud, n_neighbors)
     # Neighbours in space become neighbours in memory; any unit of length becomes about 1.
     order = cKDTree(cloud.points).indices

@@ -10,6 +10,7 @@ import warnings
 
 import pytest
 
+from spectra_kit._core import compiling
 from spectra_kit.cli import main
 from spectra_kit.cli.progress import counted, say, step, telling
 
@@ -102,6 +103,21 @@ def test_what_is_said_in_the_midst_of_a_step_has_a_line_of_its_own(terminal):
     assert left_over(terminal.text) == ["repaired: nothing to do", "warning: thin ice"]
 
 
+@pytest.mark.parametrize(
+    ("quiet", "seconds", "said"), [(False, 0.6, 1), (False, 0.2, 0), (True, 0.6, 0)]
+)
+def test_compiling_is_told_of_once_when_it_takes_long(terminal, quiet, seconds, said):
+    """All loops together: none of them may take long itself."""
+    with terminal, telling(quiet=quiet), step("working"):
+        for _ in range(3):
+            compiling.tell(True)
+            time.sleep(seconds)
+            compiling.tell(False)
+        time.sleep(0.5)
+    lines = [line for line in left_over(terminal.text) if line.startswith("compiling")]
+    assert len(lines) == said
+
+
 def test_counted_work_has_a_bar(terminal):
     with terminal, counted("drawing", "frame") as tell:
         for i in range(1, 5):
@@ -127,7 +143,8 @@ def test_a_command_shows_its_steps_to_a_terminal_and_its_table_to_a_pipe(termina
     with terminal:
         assert main(command) == 0
     assert "making the demo" in terminal.text
-    assert all(re.search(r": done in \d+\.\d s$", line) for line in left_over(terminal.text))
+    lines = [line for line in left_over(terminal.text) if not line.startswith("compiling")]
+    assert all(re.search(r": done in \d+\.\d s$", line) for line in lines)
     assert "eigenvector error" in capsys.readouterr().out
 
 

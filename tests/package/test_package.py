@@ -46,6 +46,17 @@ def test_nothing_is_imported_before_it_is_asked_for() -> None:
     assert done.stdout.split("\n")[:4] == ["", "", names, ""], done.stderr
 
 
+def test_modes_of_a_closed_mesh_import_nothing_that_they_do_not_need() -> None:
+    done = run(
+        "import sys, spectra_kit as sk\n"
+        "laplacian = sk.laplacian(sk.geometry.sphere(subdivisions=3).geometry)\n"
+        "for solver in (sk.eigen.Lanczos(), sk.eigen.Cascade(target=0.01)):\n"
+        "    sk.eigensolve(laplacian, 9, solver)\n"
+        "print({'torch', 'matplotlib', 'scipy.spatial', 'scipy.special'} & {*sys.modules})"
+    )
+    assert done.stdout == "set()\n", done.stderr
+
+
 def test_a_run_over_shapes_does_not_wait_for_what_matches_them() -> None:
     done = run(
         "import sys; import spectra_kit as sk; sk.datasets.compute_all\n"

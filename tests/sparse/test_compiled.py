@@ -1,14 +1,19 @@
 """Compiled loops are kept in the user's cache folder, and never stand in the way."""
 
+import gc
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numba.core.errors import TypingError
+from scipy import sparse
 
 from spectra_kit._core.compiled import compiled
+from spectra_kit._core.compiling import heard_by
 
 ROOT = Path(__file__).parents[2]
 LOOPS = """
@@ -105,6 +110,48 @@ def test_processes_that_begin_at_once(loops, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "loops", None)
     del sys.modules["loops"]  # and at the end, too
     assert [call(loops, x) for x in (1, 1.5, True)] == [(2, 1), (2.5, 1), (2, 1)]
+
+
+def test_compiling_is_told_of_and_not_looked_through_for_garbage(loops) -> None:
+    """Also where it fails; what is found is not compiled."""
+    told: list[tuple[bool, bool]] = []
+    with heard_by(lambda begins: told.append((begins, gc.isenabled()))):
+        call(loops)
+        call(loops)
+        assert told == [(True, False), (False, True)]
+        with pytest.raises(TypingError):
+            call(loops, "text")
+    assert told[2:] == [(True, False), (False, True)]
+    call(loops, 1.5)
+    assert len(told) == 4  # nobody asks any more
+
+
+def test_what_is_found_needs_nothing_that_compiles(loops) -> None:
+    code = (
+        "import sys; from loops import raised as f; f(1); print('numba.np.arrayobj' in sys.modules)"
+    )
+    path = f"{loops.parent}:{ROOT}"
+    environment = {**os.environ, "PYTHONPATH": path}
+    command = [sys.executable, "-c", code]
+    seen = [subprocess.check_output(command, env=environment, text=True) for _ in range(2)]
+    assert seen == ["True\n", "False\n"]
+
+
+def test_orders_and_factors_are_compiled_for_one_kind_of_arguments() -> None:
+    """Whether an array may be written to, or an index has 32 bits or 64, would be another."""
+    from spectra_kit._sparse import _degree_kernels, _frontal_kernels
+    from spectra_kit._sparse.elimination import Elimination
+    from spectra_kit._sparse.ldl import SparseLDL
+
+    matrix = sparse.csr_array(np.array([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]]))
+    for _ in range(2):
+        SparseLDL(matrix, elimination=Elimination.of(matrix)).solve(np.ones(3))
+        for part in (matrix.indptr, matrix.indices, matrix.data):
+            part.flags.writeable = False
+    for module in (_degree_kernels, _frontal_kernels):
+        loops = [loop for loop in vars(module).values() if hasattr(loop, "signatures")]
+        assert loops
+        assert all(len(loop.signatures) <= 1 for loop in loops)
 
 
 def test_every_compiled_loop_is_kept_like_this() -> None:

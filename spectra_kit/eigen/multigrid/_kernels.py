@@ -75,9 +75,11 @@ def cover(starts: Ints, neighbours: Ints, points: Floats, radius: float) -> Ints
     points just outside the balls so far, oldest first: they pack more evenly than random ones.
     """
     n = len(points)
-    covered = np.zeros(n, np.bool_)
-    queued = np.zeros(n, np.bool_)
-    seen = np.full(n, -1, np.int32)  # last centre whose ball was asked about this point
+    covered, queued = np.empty(n, np.bool_), np.empty(n, np.bool_)
+    seen = np.empty(n, np.int32)  # last centre whose ball was asked about this point
+    for i in range(n):  # `np.zeros` and `np.full` would have to be compiled
+        covered[i] = queued[i] = False
+        seen[i] = -1
     front, ball, rim = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
     centres = np.empty(n, np.int32)
     head = tail = count = 0
@@ -87,7 +89,7 @@ def cover(starts: Ints, neighbours: Ints, points: Floats, radius: float) -> Ints
             front[tail] = seed
             tail += 1
         while head < tail:
-            centre = front[head]
+            centre = front[head] + 0  # of 64 bits: nothing is compiled for two kinds
             head += 1
             if covered[centre]:
                 continue
@@ -120,7 +122,9 @@ def balls(
     Of the centres `first` to `last`.
     """
     n = len(points)
-    seen = np.full(n, -1, np.int32)
+    seen = np.empty(n, np.int32)
+    for i in range(n):
+        seen[i] = -1
     members = np.empty(n + 16 * n * (last - first) // len(centres), np.int32)
     counts = np.empty(last - first, np.int32)
     ball, rim = np.empty(n, np.int32), np.empty(n, np.int32)
@@ -136,7 +140,7 @@ def balls(
     return counts, members[:total].copy()
 
 
-@compiled()
+@compiled(error_model="numpy")
 def interpolate(
     points: Floats,
     centres: Floats,
@@ -171,10 +175,11 @@ def interpolate(
             total += weights[p]
             for a in range(3):
                 mean[a] += weights[p] * centres[near[p], a]
-        weights /= total
-        mean /= total
+        for a in range(3):
+            mean[a] /= total
         spread[:] = 0.0
         for p in range(len(near)):
+            weights[p] /= total
             for a in range(3):
                 offset[a] = centres[near[p], a] - mean[a]
             for a in range(3):
@@ -257,10 +262,14 @@ def galerkin_rows(
     of P with ascending columns.
     """
     n, m = len(lift_starts) - 1, len(restrict_starts) - 1
-    energy, weight = np.zeros(n), np.zeros(n)  # a row of P^T L and one of P^T M
-    reached, touched = np.empty(n, np.int32), np.zeros(n, np.bool_)
-    row_energy, row_mass = np.zeros(m), np.zeros(m)
-    columns, known = np.empty(m, np.int32), np.zeros(m, np.bool_)
+    energy, weight = np.empty(n), np.empty(n)  # a row of P^T L and one of P^T M
+    reached, touched = np.empty(n, np.int32), np.empty(n, np.bool_)
+    row_energy, row_mass = np.empty(m), np.empty(m)
+    columns, known = np.empty(m, np.int32), np.empty(m, np.bool_)
+    for j in range(n):
+        energy[j], weight[j], touched[j] = 0.0, 0.0, False
+    for c in range(m):
+        row_energy[c], row_mass[c], known[c] = 0.0, 0.0, False
     counts = np.empty(last - first, np.int32)
     room = 64 * (last - first) + m
     found, energies, masses = np.empty(room, np.int32), np.empty(room), np.empty(room)

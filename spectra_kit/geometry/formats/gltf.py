@@ -19,7 +19,6 @@ from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_indices, quantity
@@ -267,6 +266,8 @@ def _parts(
 
 def _placement(node: dict[str, Any]) -> Floats:
     """Return the matrix that moves a node into its parent: a given one, or T R S."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     matrix = np.reshape(np.array(node.get("matrix", np.eye(4)), dtype=np.float64), (4, 4)).T
     if not np.allclose(matrix[3], [0, 0, 0, 1], rtol=0, atol=1e-6):  # products of float32
         raise InvalidInputError("the last row of a matrix must be 0 0 0 1; it may be damaged")
