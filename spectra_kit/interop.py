@@ -381,6 +381,7 @@ def to_diffusion_net(
     laplacian: Laplacian,
     gradient: TangentGradient,
     *,
+    device: str = "cpu",
     dtype: torch.dtype | None = None,
 ) -> DiffusionNetTensors:
     """Return what DiffusionNet's layers take, in the place of its ``get_operators``.
@@ -392,6 +393,8 @@ def to_diffusion_net(
     gradient : TangentGradient
         ``tangent_gradient(geometry, oriented=True)``: with its gradients turned by learned angles,
         which is its default, the network tells a surface from its mirror image.
+    device : str, default "cpu"
+        Where they are to live.
     dtype : torch.dtype, optional
         float32 by default, as DiffusionNet has it.
 
@@ -427,11 +430,12 @@ def to_diffusion_net(
             "gradient", f"be the one of `spectrum` ({spectrum.n} points)", len(gradient.frames)
         )
     dtype = torch.float32 if dtype is None else dtype
-    evals, evecs, mass = spectrum.to_torch(dtype=dtype)
+    evals, evecs, mass = spectrum.to_torch(device=device, dtype=dtype)
     L, grad_x, grad_y = (
-        _coo_tensor(matrix, dtype) for matrix in (laplacian.stiffness, gradient.x, gradient.y)
+        _coo_tensor(matrix, dtype).to(device)
+        for matrix in (laplacian.stiffness, gradient.x, gradient.y)
     )
-    frames = torch.tensor(gradient.frames, dtype=dtype)
+    frames = torch.tensor(gradient.frames, dtype=dtype, device=device)
     return DiffusionNetTensors(frames, mass, L, evals, evecs, grad_x, grad_y)
 
 

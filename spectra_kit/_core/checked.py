@@ -409,8 +409,13 @@ def _described(value: Any, kind: _Kind) -> str:
                 return f"{told} whose [{place!r}] is {_described(item, other)}"
         if whole:
             return told
-    held = ", which must be detached first" if getattr(value, "requires_grad", None) is True else ""
-    return _with_article(type(value).__name__) + held
+    told = _with_article(type(value).__name__)
+    if _is_tensor(value):
+        if value.requires_grad:
+            told += ", which must be detached first"
+        elif value.device.type != "cpu":
+            told += f" on {str(value.device)!r}, which must be brought to the host first (.cpu())"
+    return told
 
 
 def _with_article(name: str) -> str:

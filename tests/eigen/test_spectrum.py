@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from conftest import bumpy, moved, whole_spectrum
+from conftest import bumpy, moved, refused, whole_spectrum
 from scipy import linalg, sparse
 from scipy.spatial import cKDTree
 
@@ -193,7 +193,10 @@ def test_adapters_there_and_back(spectrum, bumpy_laplacian) -> None:
         assert np.array_equal(other.eigenvectors, spectrum.eigenvectors)
         certificate = other.certify(bumpy_laplacian).certificate
         assert np.array_equal(certificate.residuals, spectrum.certificate.residuals)
-    seven = to_diffusion_net(spectrum, bumpy_laplacian, tangent_gradient(bumpy()))
+    slopes = tangent_gradient(bumpy())
+    told = "be one that torch can use here"
+    refused("device", told, to_diffusion_net, spectrum, bumpy_laplacian, slopes, device="nowhere")
+    seven = to_diffusion_net(spectrum, bumpy_laplacian, slopes, device="cpu:0")
     _, mass, L, evals, evecs, _, _ = seven
     net = from_diffusion_net(seven)
     again = from_diffusion_net((mass, L, evals, evecs.requires_grad_()))

@@ -58,6 +58,12 @@ TRANSPOSED = "did you pass its transpose?"
             "a Tensor, which must be detached first",
             "",
         ),
+        (
+            torch.zeros(4, 3, device="meta"),
+            "hold real numbers",
+            "a Tensor on 'meta', which must be brought to the host first (.cpu())",
+            "",
+        ),
     ],
 )
 def test_bad_points(make, points, expected, got, advice):
