@@ -42,6 +42,7 @@ _SAFE = 0.8  # of what the last run reached, the next is asked for
 _DENSITY = 100  # modes whose distance tells where the next are
 _ROUNDING = 1e-12  # residuals of the inverse, relative to its eigenvalues
 _LOOSEST = 1e-2  # the same: its square is the error of an eigenvalue
+_NEARER = 2  # times the square of a residual is an error: what is not found is half as far as zero
 _SHARED = 1e-6  # the same: its square, of what runs share, is rounding
 _BORDER = 1e-7  # of the distance of two shifts: a narrower gap may be one within a cluster
 _ACCURATE = 1e-10  # backward error of a solution, entry by entry
@@ -61,12 +62,14 @@ _CLOSER = 10
 class Sliced(NamedTuple):
     """What `sliced_eigenpairs` found: the m <= k lowest eigenvalues, ascending, and their vectors.
 
-    These are M-orthonormal, of shape (n, m). `shifts` counts the factors that were made; `seconds`
-    are wall time by stage.
+    These are M-orthonormal, of shape (n, m). `errors` estimates how far the eigenvalues are off, by
+    the squares of residuals; `shifts` counts the factors that were made; `seconds` are wall time by
+    stage.
     """
 
     eigenvalues: Floats
     eigenvectors: Floats
+    errors: Floats
     shifts: int
     seconds: dict[str, float]
     pencil: Pencil
@@ -115,7 +118,8 @@ def sliced_eigenpairs(
     tol = min(max(tol, _ROUNDING), _LOOSEST)
     A = stiffness.copy()
     A.data /= np.repeat(root, np.diff(A.indptr)) * root[A.indices]
-    values, X = np.empty(k), np.empty((k, len(mass)))  # rows are eigenvectors of A
+    values, errors = np.empty(k), np.empty(k)
+    X = np.empty((k, len(mass)))  # rows are eigenvectors of A
     first, counted, found = 0, 0, 0  # modes below the last run, below its shift, and all
     last, ahead, reach, shifts, closer = below, min(math.ceil(share * k), _FIRST), 1.0, 0, 0
     sigma, pencil = below + guess * ahead * spacing, Pencil(A, np.ones(len(mass)), elimination)
@@ -142,7 +146,8 @@ def sliced_eigenpairs(
             # From the widest gap on, the modes are those of this run.
             lower, upper = run.below[len(run.below) - (number - counted - cut) :], run.above
             begin, end = counted + cut, min(k, number + len(upper))
-            values[begin:end], new = run.pairs(np.concatenate([lower, upper])[: end - begin])
+            pairs = run.pairs(np.concatenate([lower, upper])[: end - begin])
+            values[begin:end], new, errors[begin:end] = pairs
             # What is farther than a run away is orthogonal where residuals are rounding.
             before = X[first if tol <= _ROUNDING else 0 : begin]
             X[begin:end] = new - combined(inner(new, before), before)
@@ -159,9 +164,10 @@ def sliced_eigenpairs(
             del run  # its space, before there is another
             sigma = values[found - 1] + ahead * np.ptp(values[found - 1 - some : found]) / some
     if loose and first > 0:
-        X[:found] -= combined(inner(X[:found], X[:found]) - np.eye(found), X[:found]) / 2
+        skew = np.linalg.cholesky(inner(X[:found], X[:found]))
+        X[:found] = combined(np.linalg.inv(skew), X[:found])
     U = np.ascontiguousarray((X[:found] / root).T)
-    return Sliced(values[:found], U, shifts, clock.seconds, pencil)
+    return Sliced(values[:found], U, errors[:found], shifts, clock.seconds, pencil)
 
 
 def vectors_for(modes: int, tol: float) -> float:
@@ -220,16 +226,21 @@ class _Run:
             due = krylov.size + (_EACH * lacking if dear else 0)
         return cut
 
-    def pairs(self, kept: NDArray[np.intp]) -> tuple[Floats, Floats]:
-        """Return eigenvalues and eigenvectors, as rows that are orthonormal to rounding."""
+    def pairs(self, kept: NDArray[np.intp]) -> tuple[Floats, Floats, Floats]:
+        """Return eigenvalues, eigenvectors as rows that are orthonormal to rounding, and errors.
+
+        Those of eigenvalues of the inverse, relative to these, are as of eigenvalues, relative to
+        their distances from the shift.
+        """
         inverse = self._ritz.values[kept]
+        errors = _NEARER * (self._ritz.residuals[kept] / inverse) ** 2 / np.abs(inverse)
         X = self._krylov.lifted(self._ritz.rotation[:, kept])
         if self._loose:
-            return self._sigma + 1 / inverse, X
+            return self._sigma + 1 / inverse, X, errors
         # One more product takes out what rounding left of frequencies.
         X = np.ascontiguousarray((self._factor.solve(X.T) / inverse).T)
         error = inner(X, X) - np.eye(len(kept))
-        return self._sigma + 1 / inverse, X - combined(error / 2, X)
+        return self._sigma + 1 / inverse, X - combined(error / 2, X), errors
 
     def _look(self) -> None:
         """See which pairs have converged, without a hole up to the farthest from the shift."""

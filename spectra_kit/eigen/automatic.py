@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from spectra_kit.operators.laplacian import Laplacian
 
 _FEW = 15_000  # points up to which nothing costs less than Lanczos on a factor
 _FEW_FOR_EACH = 160  # the same for each mode: coarse levels have to have room for them
+_LOOSELY = 4  # times as many points, if it need not be exact
 _TIGHT = 1e-4  # an accuracy below which smoothing costs more than to be exact
 # Smoothing steps that cost what going on with a factor does. Who changes over then has spent at
 # most twice what the better of both takes (rent or buy).
@@ -45,8 +46,9 @@ class Automatic:
     """Say how accurate the eigenvalues must be: what costs least for that is chosen.
 
     The choice follows from measured costs: for few points and where the accuracy is high `Arpack`,
-    from 40 modes on `Lanczos`; `Cascade` elsewhere, and where no factor fits. Where the cascade
-    estimates that it has missed the accuracy, `Refined` goes on from its modes with a factor.
+    from 40 modes on `Lanczos`, as loosely as the accuracy allows; `Cascade` elsewhere, and where no
+    factor fits. Where the cascade estimates that it has missed the accuracy, `Refined` goes on from
+    its modes with a factor.
     ``provenance.solver`` and ``provenance.reason`` tell what was chosen, and why.
 
     Parameters
@@ -116,16 +118,22 @@ class Automatic:
         """Return what begins to solve for k modes on the n points of a component, and why."""
         needed = Lanczos.memory(n, k)
         fits = needed <= self.memory
-        if fits and n <= max(_FEW, _FEW_FOR_EACH * k):
-            why = f"an exact solution is quickest for {quantity(k, 'mode')} of {n} points"
-            return cheapest(n, k, seed=self.seed), why
+        few = max(_FEW, _FEW_FOR_EACH * k)
+        exact = cheapest(n, k, seed=self.seed)
+        loose = exact
+        if self.accuracy is not None and isinstance(exact, Lanczos):
+            loose = replace(exact, tol=self.accuracy**0.5)  # errors are about its square
+            few *= _LOOSELY if self.device == "cpu" else 1
+        if fits and n <= few:
+            what = "an exact solution" if loose is exact else "Lanczos"
+            return loose, f"{what} is quickest for {quantity(k, 'mode')} of {n} points"
         if self.accuracy is not None and self.accuracy >= _TIGHT:
             why = f"errors of {self.accuracy:g} on {n} points need no factor"
         elif not fits:
             why = f"an exact solution would take {needed:.1f} GiB, more than {self.memory:g}"
         else:
             why = "exact" if self.accuracy is None else f"for errors of {self.accuracy:g}"
-            return cheapest(n, k, seed=self.seed), f"{why}, and the factor fits into memory"
+            return loose, f"{why}, and the factor fits into memory"
         cascade = Cascade(
             target=self.accuracy or _ROUNDING,
             max_steps=_STEPS if fits and self.device == "cpu" else _MANY,

@@ -100,13 +100,14 @@ def test_with_too_few_shifts_the_lowest_modes_are_kept(uneven, exact) -> None:
     assert partial.eigenvalues == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
-@pytest.mark.parametrize("tol", [1e-7, 1e-2])
+@pytest.mark.parametrize("tol", [1e-7, 1e-4, 1e-2])
 def test_a_tolerance_is_kept_and_all_modes_are_orthonormal(uneven, exact, tol) -> None:
     loose = sk.eigensolve(uneven, 450, sk.Lanczos(tol=tol))
-    assert loose.certificate.relative_residuals.max() < 1e-4
+    assert loose.certificate.relative_residuals.max() < 10 * tol + 1e-5
     assert loose.certificate.orthonormality_error < 1e-11
     expected = exact.eigenvalues[:450]
-    assert loose.eigenvalues == pytest.approx(expected, rel=1e-8, abs=1e-8)
+    rounding = max(1e-8, 3 * tol**2)
+    assert loose.eigenvalues == pytest.approx(expected, rel=rounding, abs=rounding)
 
 
 @pytest.mark.parametrize("tol", [1e-4, 1e-3])
