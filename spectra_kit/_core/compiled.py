@@ -128,25 +128,25 @@ class _Compiling(Listener):
     """
 
     def __init__(self) -> None:
-        self._collects = gc.isenabled()
+        self._collects: list[bool] = []  # one within another
 
     def on_start(self, event: Event) -> None:
         """One of ours begins; what it calls is compiled within, and is not."""
         if _is_kept(event):
-            self._collects = gc.isenabled()
+            self._collects.append(gc.isenabled())
             gc.disable()
             compiling.tell(True)
 
     def on_end(self, event: Event) -> None:
         """It has ended, or failed."""
         if _is_kept(event):
-            if self._collects:
+            if self._collects.pop():
                 gc.enable()
             compiling.tell(False)
 
 
 def _is_kept(event: Event) -> bool:
-    return isinstance(event.data["dispatcher"]._cache, _Kept)
+    return isinstance(getattr(event.data["dispatcher"], "_cache", None), _Kept)  # loops have none
 
 
 register("numba:compile", _Compiling())  # type: ignore[no-untyped-call]

@@ -39,6 +39,7 @@ _DEAR = 8
 _LOOSE_EACH, _LOOSE_DIGIT = 1.5, 10  # nine times of ten, of 6 to 96 modes
 _ONE_SIDED = 0.7  # of what the first run reached above its shift, others reach to either side
 _SAFE = 0.8  # of what the last run reached, the next is asked for
+_LEAST = 1e-3  # of the spacing: the same, where so many are equal
 _DENSITY = 100  # modes whose distance tells where the next are
 _ROUNDING = 1e-12  # residuals of the inverse, relative to its eigenvalues
 _LOOSEST = 1e-2  # the same: its square is the error of an eigenvalue
@@ -73,7 +74,7 @@ class Sliced(NamedTuple):
     shifts: int
     seconds: dict[str, float]
     pencil: Pencil
-    """Of another matrix with the same eigenvalues, and of one: to count them."""
+    """Of ``M^-1/2 L M^-1/2`` and the identity, whose eigenvalues these are: to count them."""
 
 
 def vectors_held(k: int) -> int:
@@ -162,10 +163,11 @@ def sliced_eigenpairs(
             ahead = math.ceil((k - found) / (2 * max(1, math.ceil((k - found) / (2 * reach)))))
             some = min(_DENSITY, found - 1)
             del run  # its space, before there is another
-            sigma = values[found - 1] + ahead * np.ptp(values[found - 1 - some : found]) / some
+            step = np.ptp(values[found - 1 - some : found]) / some
+            sigma = values[found - 1] + ahead * max(step, _LEAST * spacing)
     if loose and first > 0:
-        skew = np.linalg.cholesky(inner(X[:found], X[:found]))
-        X[:found] = combined(np.linalg.inv(skew), X[:found])
+        Q, R = np.linalg.qr(X[:found].T)
+        X[:found] = (Q * np.sign(R.diagonal())).T
     U = np.ascontiguousarray((X[:found] / root).T)
     return Sliced(values[:found], U, errors[:found], shifts, clock.seconds, pencil)
 

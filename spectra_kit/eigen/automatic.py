@@ -28,6 +28,7 @@ from spectra_kit.operators.laplacian import Laplacian
 _FEW = 15_000  # points up to which nothing costs less than Lanczos on a factor
 _FEW_FOR_EACH = 160  # the same for each mode: coarse levels have to have room for them
 _LOOSELY = 4  # times as many points, if it need not be exact
+_RESIDUAL = 1e-2  # of shift-inverted operators: errors of eigenvalues are about its square
 _TIGHT = 1e-4  # an accuracy below which smoothing costs more than to be exact
 # Smoothing steps that cost what going on with a factor does. Who changes over then has spent at
 # most twice what the better of both takes (rent or buy).
@@ -121,13 +122,14 @@ class Automatic:
         few = max(_FEW, _FEW_FOR_EACH * k)
         exact = cheapest(n, k, seed=self.seed)
         loose = exact
-        if self.accuracy is not None and isinstance(exact, Lanczos):
-            loose = replace(exact, tol=self.accuracy**0.5)  # errors are about its square
+        rough = self.accuracy is not None and self.accuracy >= _TIGHT
+        if rough and isinstance(exact, Lanczos):
+            loose = replace(exact, tol=_RESIDUAL)
             few *= _LOOSELY if self.device == "cpu" else 1
         if fits and n <= few:
             what = "an exact solution" if loose is exact else "Lanczos"
             return loose, f"{what} is quickest for {quantity(k, 'mode')} of {n} points"
-        if self.accuracy is not None and self.accuracy >= _TIGHT:
+        if rough:
             why = f"errors of {self.accuracy:g} on {n} points need no factor"
         elif not fits:
             why = f"an exact solution would take {needed:.1f} GiB, more than {self.memory:g}"

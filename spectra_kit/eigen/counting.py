@@ -88,7 +88,10 @@ def verify(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
     """
     clock = Clock()
     certificate = with_excess(certificate_of(spectrum, laplacian), spectrum, laplacian)
-    count = _counted(spectrum, certificate, laplacian, thorough=True)
+    try:
+        count = _counted(spectrum, certificate, laplacian, thorough=True)
+    finally:
+        laplacian._forget()
     before = spectrum.certificate
     if before is not None and before.count is not None:
         count = replace(count, added=before.count.added)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,12 +14,12 @@ from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.files import parsing
-from spectra_kit._core.records import Rebuilt, frozen
+from spectra_kit._core.records import Rebuilt, cached, frozen
 from spectra_kit._core.shown import draw
 from spectra_kit._core.threads import blas_threads_for
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, check_positive, quantity
-from spectra_kit._sparse.host import gram
+from spectra_kit._sparse.host import energies, gram
 from spectra_kit._sparse.products import residual_norms
 from spectra_kit.eigen.certificate import Certificate, ModeCount, Provenance
 from spectra_kit.eigen.spectrum_file import REMEDY, read_spectrum_file, write_spectrum_file
@@ -214,7 +213,8 @@ class Spectrum(Rebuilt):
             self.eigenvectors,
             left_out=laplacian.fixed,
         )
-        squared = self._products.diagonal()
+        known = vars(self).get("_products")
+        squared = energies(self.mass, self.eigenvectors) if known is None else known.diagonal()
         if not squared.all():
             raise InvalidSpectrumError("eigenvectors", "not hold a column of zeros")
         return np.asarray(norms / np.sqrt(squared))
@@ -244,7 +244,7 @@ class Spectrum(Rebuilt):
                 advice="they belong to another boundary condition",
             )
 
-    @cached_property
+    @cached
     def _products(self) -> Floats:
         """``U^T M U``."""
         return frozen(gram(self.mass, self.eigenvectors))
@@ -402,12 +402,13 @@ class Spectrum(Rebuilt):
 
 def certificate_of(spectrum: Spectrum, laplacian: Laplacian) -> Certificate:
     """Return what `Spectrum.certify` finds."""
+    orthonormality_error = spectrum.orthonormality_error()  # with norms, for the residuals
     residuals = spectrum.residuals(laplacian)
     spacing = spectrum._spacings(laplacian)
     return Certificate(
         residuals=residuals,
         relative_residuals=residuals / np.maximum(spectrum.eigenvalues, spacing),
-        orthonormality_error=spectrum.orthonormality_error(),
+        orthonormality_error=orthonormality_error,
         n_zero_modes=spectrum._kernel_modes(laplacian),
         kernel_dimension=laplacian.kernel_dimension,
         n_components=laplacian.n_components,

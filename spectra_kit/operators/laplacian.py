@@ -12,7 +12,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.records import Rebuilt, frozen
+from spectra_kit._core.records import Rebuilt, cached, frozen
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_indices, check_mass, check_points
 from spectra_kit._sparse._checks import asymmetry
@@ -118,7 +118,7 @@ class Laplacian(Rebuilt):
         typical = _typical(diagonal[self.free], beside[self.free], labels)
         return frozen(typical / np.bincount(labels, self.mass[self.free]))
 
-    @cached_property
+    @cached
     def _elimination(self) -> Elimination:
         """What all factors of ``L - sigma M`` share; `_forget` it, as it is as large as L."""
         from spectra_kit._sparse.pencil import Pencil
@@ -128,7 +128,7 @@ class Laplacian(Rebuilt):
     def _forget(self) -> None:
         vars(self).pop("_elimination", None)
 
-    @cached_property
+    @cached
     def _rounding(self) -> float:
         """Bound on rounding in ``M^-1/2 L M^-1/2 u``, and what one triangle hides of asymmetry."""
         L, scale = self.stiffness, 1 / np.sqrt(self.mass)

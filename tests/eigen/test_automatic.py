@@ -65,9 +65,9 @@ def rough(n: int) -> sk.Laplacian:
     ("accuracy", "name", "promise"),
     [
         (None, "lanczos", "exact"),
-        (1e-14, "lanczos", "to tolerance"),
-        (1e-8, "lanczos", "to tolerance"),
-        (1e-5, "lanczos", "to tolerance"),
+        (1e-14, "lanczos", "exact"),
+        (1e-8, "lanczos", "exact"),
+        (1e-5, "lanczos", "exact"),
         (1e-4, "cascade", "approximate"),
         (1e-2, "cascade", "approximate"),
     ],
@@ -88,7 +88,7 @@ def test_the_accuracy_is_met_and_the_choice_is_told(animal, exact, accuracy, nam
         assert certificate.errors.mean() <= accuracy
 
 
-@pytest.mark.parametrize("accuracy", [1e-2, 1e-4, 1e-6, 1e-8])
+@pytest.mark.parametrize("accuracy", [1e-2, 1e-4])
 def test_lanczos_is_as_loose_as_may_be(monkeypatch, animal, exact, accuracy) -> None:
     monkeypatch.setattr(automatic, "_LOOSELY", 4)
     found = sk.eigensolve(animal, K, sk.Automatic(accuracy=accuracy))
@@ -99,7 +99,7 @@ def test_lanczos_is_as_loose_as_may_be(monkeypatch, animal, exact, accuracy) -> 
     assert found.certificate.count.missing == 0
     assert found.certificate.orthonormality_error < 1e-9
     on_device = sk.Automatic(accuracy=accuracy, device="cpu:0")
-    assert isinstance(on_device.choose(animal.n, K)[0], sk.Cascade) == (accuracy >= 1e-4)
+    assert isinstance(on_device.choose(animal.n, K)[0], sk.Cascade)
 
 
 def test_it_is_the_default() -> None:
@@ -286,3 +286,19 @@ def test_nearly_all_modes_of_few_points() -> None:
     for k in (laplacian.n - 1, laplacian.n):
         found = sk.eigensolve(laplacian, k, sk.Automatic(accuracy=1e-6))
         np.testing.assert_allclose(found.eigenvalues, exact.eigenvalues[:k], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_loose_modes_lack_no_copy_of_an_eigenvalue(monkeypatch, seed) -> None:
+    """On a periodic grid, most eigenvalues have eight."""
+    monkeypatch.setattr(automatic, "_LOOSELY", 4)
+    ring = 2 - 2 * np.cos(2 * np.pi * np.arange(50) / 50)
+    exact = np.sort(np.add.outer(ring, ring).ravel())
+    shifted = sparse.csr_array(np.roll(np.eye(50), 1, axis=0))
+    one = sparse.csr_array(2 * sparse.eye_array(50) - shifted - shifted.T)
+    grid = sparse.csr_array(sparse.kronsum(one, one))
+    laplacian = sk.Laplacian(grid, np.ones(2500), np.zeros((2500, 3)))
+    for k in (150, 200):
+        found = sk.eigensolve(laplacian, k, sk.Automatic(accuracy=1e-3, seed=seed))
+        assert found.provenance.name == "lanczos"
+        assert found.eigenvalues == pytest.approx(exact[:k], rel=1e-5, abs=1e-8)

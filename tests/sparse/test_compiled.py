@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 from numba.core.errors import TypingError
@@ -177,3 +178,15 @@ def test_variables_of_the_function_around_are_refused() -> None:
 
     with pytest.raises(TypeError, match=r"adding.<locals>.added must not use variables"):
         adding(1.0)
+
+
+def test_loops_of_others_are_compiled_as_ever() -> None:
+    """Those that numba lifts out of a function have no place where they could be kept."""
+
+    def total(n):
+        found = 0
+        for i in range(n):
+            found += i
+        return found
+
+    assert numba.jit(forceobj=True, looplift=True)(total)(5) == 10

@@ -184,8 +184,8 @@ def prolonged(
         step, found, gained, spared = 0, None, 0.0, False
         for step in range(1, 1 + (max_steps if finest else min(max_steps, _MIDDLE))):
             before = values
-            # The target is met, but for a margin: once, no more than that is aimed at.
-            sparing = finest and not spared and bool(errors.mean() <= target)
+            # A prediction has met the target but for a margin: once, no more is aimed at.
+            sparing = not levels and not spared and bool(errors.mean() <= target)
             spared |= sparing
             degree = _CARRIED if finest and levels and step == 1 else None
             guards = max(1, len(values) - k)
