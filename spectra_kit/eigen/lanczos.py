@@ -242,11 +242,8 @@ class Lanczos(_ShiftInvert):
             clock.stage("count")
             seconds += Counter(found.seconds) + Counter(clock.seconds)
             if whole:
-                values, unit = found.eigenvalues[:k], laplacian.eigenvalue_spacing
-                off = found.errors[:k]
-                values = np.where((values < 0) & (-values <= _WITHIN * off), 0.0, values)
-                errors, vectors = off / np.maximum(values, unit), found.eigenvectors[:, :k]
-                return Eigenpairs(values, vectors, dict(seconds), errors=errors, solver=self)
+                pairs = _estimated(found, k, laplacian.eigenvalue_spacing)
+                return pairs._replace(seconds=dict(seconds), solver=self)
         tol = min(self.tol, _CLOSE)
         found = solved(k, tol=tol)
         seconds += Counter(found.seconds)
@@ -281,6 +278,14 @@ def _has_all(found: Sliced, k: int) -> bool:
     number = k + int(np.diff(values[k - 1 :]).argmax())
     factor = found.pencil.factor(float(values[number - 1 : number + 1].mean()))
     return factor is not None and factor.inertia.negative == number
+
+
+def _estimated(found: Sliced, k: int, spacing: float) -> Eigenpairs:
+    """Return the first k of loose modes, with their errors; none is below the spectrum for these."""
+    values, off = found.eigenvalues[:k], found.errors[:k]
+    values = np.where((values < 0) & (-values <= _WITHIN * off), 0.0, values)
+    vectors = np.ascontiguousarray(found.eigenvectors[:, :k])
+    return Eigenpairs(values, vectors, errors=off / np.maximum(values, spacing))
 
 
 def _has_room(n: int, k: int) -> bool:

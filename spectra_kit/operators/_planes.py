@@ -77,7 +77,7 @@ def project(
 def _diagonalize(matrix: Floats, axes: Floats) -> None:
     """Turn a symmetric matrix (3, 3) into its eigenvalues, and write its eigenvectors as columns.
 
-    By Jacobi's rotations.
+    By Jacobi's rotations; written out here, as compiled loops are found again by their own file.
     """
     axes[:] = np.eye(3)
     for _ in range(_SWEEPS):
