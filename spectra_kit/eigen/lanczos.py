@@ -281,7 +281,7 @@ def _has_all(found: Sliced, k: int) -> bool:
 
 
 def _estimated(found: Sliced, k: int, spacing: float) -> Eigenpairs:
-    """Return the first k of loose modes, with their errors; none is below the spectrum for these."""
+    """Return the first k of loose modes with their errors, which put none below the spectrum."""
     values, off = found.eigenvalues[:k], found.errors[:k]
     values = np.where((values < 0) & (-values <= _WITHIN * off), 0.0, values)
     vectors = np.ascontiguousarray(found.eigenvectors[:, :k])
