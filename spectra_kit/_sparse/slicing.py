@@ -167,7 +167,7 @@ def sliced_eigenpairs(
             sigma = values[found - 1] + ahead * max(step, _LEAST * spacing)
     if loose and first > 0:
         Q, R = np.linalg.qr(X[:found].T)
-        X[:found] = (Q * np.sign(R.diagonal())).T
+        X[:found] = (Q * np.copysign(1.0, R.diagonal())).T
     U = np.ascontiguousarray((X[:found] / root).T)
     return Sliced(values[:found], U, errors[:found], shifts, clock.seconds, pencil)
 
