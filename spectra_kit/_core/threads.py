@@ -121,11 +121,11 @@ def in_threads(task: Callable[..., Any], arguments: Iterable[tuple[Any, ...]]) -
     if (members := _team.get()) is not None:
         pool, others = members
         first, *rest = ranges(len(calls), -(-len(calls) // (others + 1)))
-        futures = [pool.submit(_one_by_one, task, calls[slice(*cut)]) for cut in rest]
+        futures = [_begun(pool, _one_by_one, task, calls[slice(*cut)]) for cut in rest]
         results = _one_by_one(task, calls[slice(*first)])
         return results + [result for future in futures for result in future.result()]
     with ThreadPoolExecutor(workers) as pool:
-        waiting = [pool.submit(task, *call) for call in calls]
+        waiting = [_begun(pool, task, *call) for call in calls]
         try:
             return [done.result() for done in waiting]
         except BaseException:
@@ -148,9 +148,18 @@ def ended_beside(
             begun = begin(argument)
             if waiting is not None:
                 yield waiting.result()
-            waiting = beside.submit(copy_context().run, end, begun)
+            waiting = _begun(beside, copy_context().run, end, begun)
         if waiting is not None:
             yield waiting.result()
+
+
+def _begun(
+    pool: ThreadPoolExecutor, task: Callable[..., Result], *arguments: Any
+) -> Future[Result]:
+    try:
+        return pool.submit(task, *arguments)
+    except RuntimeError as error:  # Python's word for a thread whose stack does not fit
+        raise MemoryError("no memory for another thread") from error
 
 
 def _one_by_one(task: Callable[..., Any], calls: list[tuple[Any, ...]]) -> list[Any]:
