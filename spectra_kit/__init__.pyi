@@ -30,6 +30,7 @@ from .errors import SpectraKitError as SpectraKitError
 from .errors import SpectraKitWarning as SpectraKitWarning
 from .geodesics import HeatGeodesics as HeatGeodesics
 from .geodesics import geodesic_distance as geodesic_distance
+from .geodesics import geodesic_path as geodesic_path
 from .geometry import PointCloud as PointCloud
 from .geometry import TriangleMesh as TriangleMesh
 from .geometry import as_geometry as as_geometry

@@ -22,6 +22,7 @@ COMMANDS = {
     "explore": ("modes in the browser", "explore bunny.obj -o bunny.html"),
     "match": ("corresponding points", "match cat.off lion.off -o maps"),
     "geodesic": ("distances along it", "geodesic bunny.obj --source 7"),
+    "path": ("shortest ways", "path bunny.obj --source 7 --to 100"),
     "similar": ("shapes like it", "similar cat.off animals"),
     "label": ("names, and parts", "label a.ply known.safetensors"),
     "batch": ("many spectra", "batch scans --out store"),
@@ -77,6 +78,7 @@ def load(name: str) -> tuple[type[Command], Callable[[Any], None]]:
         match,
         match_all,
         modes,
+        path,
     )
 
     commands: dict[str, tuple[type[Command], Callable[[Any], None]]] = {
@@ -88,6 +90,7 @@ def load(name: str) -> tuple[type[Command], Callable[[Any], None]]:
         "explore": (explore.ExploreOptions, explore.explore),
         "match": (match.MatchOptions, match.match_shapes),
         "geodesic": (geodesic.GeodesicOptions, geodesic.geodesic_distances),
+        "path": (path.PathOptions, path.shortest_paths),
         "similar": (learn.SimilarOptions, learn.similar),
         "label": (learn.LabelOptions, learn.label),
         "batch": (batch.BatchOptions, batch.batch),

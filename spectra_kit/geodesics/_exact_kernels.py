@@ -24,6 +24,7 @@ _TIE = 1e-10  # relative; two paths as long as each other must both go on
 _TOUCH = 1e-11  # of a side; a ray this near to a vertex meets it
 _THIN = 1e-14  # of a side; a window this narrow is none
 _IMPROVED = 1e-12  # relative; what is less does not send the paths from a vertex anew
+_ALONG = -2  # in place of what a path passed: it runs along a side
 
 
 class Soup(NamedTuple):
@@ -58,6 +59,8 @@ class Window(NamedTuple):
     v: int
     birth: int
     """From which vertex they came, and its `Front.births` when they left it."""
+    passage: int
+    """The latest entry of `Front.passed` that they are, or -1."""
 
 
 class Front(NamedTuple):
@@ -82,6 +85,16 @@ class Front(NamedTuple):
     """One that passed the same edge before, or -1."""
     latest: Ints
     """The latest to pass, for that side."""
+    came: Ints
+    """By which side each of those that passed came to its edge."""
+    earlier: Ints
+    """And its own passage before, or -1."""
+    arrived: Ints
+    """How the shortest path came to each vertex (n, 3): by which side into its last face, from
+    which vertex where it bent last, and its latest passage; or along which side, from which end,
+    and less than -1. Less than 0 where it begins."""
+    seen: Floats
+    """Where that vertex lies in the frame of that side, as x and y of a window (n, 2)."""
     split: Floats
     """Least distance of the apex over each side, by a window that sees it."""
     split_at: Floats
@@ -91,8 +104,8 @@ class Front(NamedTuple):
     are known, and how many windows there have been."""
 
 
-def propagate(soup: Soup, sources: Ints, targets: Ints, d: Floats, most: int) -> int:
-    """Write to `d` (n,), infinite at first, the distances from `sources`; count the windows.
+def propagate(soup: Soup, sources: Ints, targets: Ints, d: Floats, most: int) -> Front:
+    """Write to `d` (n,), infinite at first, the distances from `sources`, and how they came.
 
     It stops once all `targets` are known, or at more than `most` windows; what is farther may
     then be too long, or infinite.
@@ -103,7 +116,7 @@ def propagate(soup: Soup, sources: Ints, targets: Ints, d: Floats, most: int) ->
     start_from(front, sources)
     while advance(soup, front, targets, most, margin):
         front = _doubled(front)
-    return int(front.size[5])
+    return front
 
 
 def _front(d: Floats, sides: int, room: int, heap: int) -> Front:
@@ -112,13 +125,17 @@ def _front(d: Floats, sides: int, room: int, heap: int) -> Front:
         d,
         np.zeros(len(d), np.int64),
         np.empty((room, 5)),
-        np.empty((room, 3), np.int64),
+        np.empty((room, 4), np.int64),
         np.empty(room, np.int64),
         np.empty(heap),
         np.empty(heap, np.int64),
         np.empty((room, 5)),
         np.empty(room, np.int64),
         np.full(sides, -1),
+        np.empty(room, np.int64),
+        np.empty(room, np.int64),
+        np.full((len(d), 3), -1),
+        np.zeros((len(d), 2)),
         np.full(sides, np.inf),
         np.zeros(sides),
         np.zeros(6, np.int64),
@@ -127,7 +144,7 @@ def _front(d: Floats, sides: int, room: int, heap: int) -> Front:
 
 def _doubled(front: Front) -> Front:
     """Return `front` with twice the room."""
-    names = ("reals", "whole", "free", "keys", "items", "passed", "following")
+    names = ("reals", "whole", "free", "keys", "items", "passed", "following", "came", "earlier")
     old = {name: getattr(front, name) for name in names}
     return front._replace(**{k: np.concatenate([v, np.empty_like(v)]) for k, v in old.items()})
 
@@ -166,13 +183,14 @@ def _start(soup: Soup, front: Front, v: int) -> int:
     d, lengths = front.d[v], soup.lengths
     for i in range(soup.first[v], soup.first[v + 1]):
         s = soup.corners[i]
-        _reach(soup, front, soup.tails[_next(s)], d + lengths[s])
-        _reach(soup, front, soup.tails[_next(_next(s))], d + lengths[_next(_next(s))])
+        for side, end in ((s, _next(s)), (_next(_next(s)), _next(_next(s)))):
+            if _reach(soup, front, soup.tails[end], d + lengths[side]):
+                _note(front, soup.tails[end], side, v, _ALONG, 0.0, 0.0)
     count = 0
     for i in range(soup.first[v], soup.first[v + 1]):
         t = _next(soup.corners[i])
         x, y = soup.apex_x[t], soup.apex_y[t]
-        window = Window(0.0, lengths[t], x, y, d, v, front.births[v])
+        window = Window(0.0, lengths[t], x, y, d, v, front.births[v], -1)
         count += _add(soup, front, t, window, 0.0)
     return count
 
@@ -182,7 +200,7 @@ def _go_on(soup: Soup, front: Front, item: int) -> int:
     """Let a window shine through the other faces on its edge."""
     s, v, birth = front.whole[item, 0], front.whole[item, 1], front.whole[item, 2]
     r = front.reals[item]
-    window = Window(r[0], r[1], r[2], r[3], r[4], v, birth)
+    window = Window(r[0], r[1], r[2], r[3], r[4], v, birth, front.whole[item, 3])
     front.free[front.size[2]] = item
     front.size[2] += 1
     if birth != front.births[v]:
@@ -205,7 +223,9 @@ def _go_on(soup: Soup, front: Front, item: int) -> int:
 @register_jitable
 def _turned(w: Window, length: float) -> Window:
     """Return the same window in the direction from the head of its side to the tail."""
-    return Window(length - w.b1, length - w.b0, length - w.x, w.y, w.before, w.v, w.birth)
+    return Window(
+        length - w.b1, length - w.b0, length - w.x, w.y, w.before, w.v, w.birth, w.passage
+    )
 
 
 @register_jitable
@@ -219,7 +239,7 @@ def _unmatched(soup: Soup, front: Front, s: int, window: Window) -> Window:
         edge, t = min(edge, t), soup.around[t]
     length, turned = soup.lengths[s], soup.tails[edge] != soup.tails[s]
     w = _turned(window, length) if turned else window
-    b0, b1, x, y = w.b0, w.b1, w.x, w.y
+    b0, b1, x, y, passage = w.b0, w.b1, w.x, w.y, w.passage
     i = front.latest[edge]
     while i >= 0 and b1 > b0:
         other = front.passed[i]
@@ -244,7 +264,9 @@ def _unmatched(soup: Soup, front: Front, s: int, window: Window) -> Window:
         row[0], row[1], row[2], row[3], row[4] = b0, b1, x, y, w.before
         front.following[new] = front.latest[edge]
         front.latest[edge] = new
-    w = Window(b0, b1, x, y, w.before, w.v, w.birth)
+        front.came[new], front.earlier[new] = s, passage
+        passage = new
+    w = Window(b0, b1, x, y, w.before, w.v, w.birth, passage)
     return _turned(w, length) if turned else w
 
 
@@ -266,7 +288,8 @@ def _cross(soup: Soup, front: Front, t: int, w: Window, two_faces: bool) -> int:
     touch = _TOUCH * length
     if w.b0 - touch <= at <= w.b1 + touch:
         far = w.before + np.hypot(ax - w.x, ay + w.y)
-        _reach(soup, front, soup.tails[left], far)
+        if _reach(soup, front, soup.tails[left], far):
+            _note(front, soup.tails[left], t, w.v, w.passage, w.x, w.y)
         # Of the windows that see an apex, only the nearest sheds shortest paths on both sides of it
         # (Chen and Han); another does so on that side where it lies from the nearest. That holds
         # for paths that cross, hence not for those that come from different faces of one edge.
@@ -301,7 +324,7 @@ def _unfolded(
     u0 = _meet(w.b0, w.x, w.y, ex, ey)
     u1 = L if whole else min(_meet(w.b1, w.x, w.y, ex, ey), L)
     x, y = w.x * ex - w.y * ey, w.y * ex + w.x * ey
-    return L, Window(u0, u1, x, y, w.before, w.v, w.birth)
+    return L, Window(u0, u1, x, y, w.before, w.v, w.birth, w.passage)
 
 
 @register_jitable
@@ -343,7 +366,7 @@ def _add(soup: Soup, front: Front, t: int, window: Window, entered: float) -> in
         front.size[1] += 1
     reals, whole = front.reals[w], front.whole[w]
     reals[0], reals[1], reals[2], reals[3], reals[4] = b0, b1, x, y, before
-    whole[0], whole[1], whole[2] = t, window.v, window.birth
+    whole[0], whole[1], whole[2], whole[3] = t, window.v, window.birth, window.passage
     _push(front.keys, front.items, front.size, before + (y if b0 <= x <= b1 else min(r0, r1)), w)
     return 1
 
@@ -355,16 +378,27 @@ def _next(side: int) -> int:
 
 
 @register_jitable
-def _reach(soup: Soup, front: Front, v: int, far: float) -> None:
-    """Note a way of length `far` to vertex v; where paths bend they start from it anew."""
+def _reach(soup: Soup, front: Front, v: int, far: float) -> bool:
+    """Take a way of length `far` to vertex v if none is as short; where paths bend they start anew.
+
+    Return whether it was taken.
+    """
     if far >= front.d[v]:
-        return
-    if not soup.bends[v]:
-        front.d[v] = far
-    elif far < front.d[v] * (1 - _IMPROVED):
-        front.d[v] = far
+        return False
+    if soup.bends[v]:
+        if far >= front.d[v] * (1 - _IMPROVED):
+            return False
         front.births[v] += 1
         _push(front.keys, front.items, front.size, far, -1 - v)
+    front.d[v] = far
+    return True
+
+
+@register_jitable
+def _note(front: Front, v: int, side: int, origin: int, passage: int, x: float, y: float) -> None:
+    arrived, seen = front.arrived[v], front.seen[v]
+    arrived[0], arrived[1], arrived[2] = side, origin, passage
+    seen[0], seen[1] = x, y
 
 
 @register_jitable

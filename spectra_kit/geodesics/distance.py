@@ -11,7 +11,7 @@ from spectra_kit.geodesics.exact import EXACT, exact_or_none
 from spectra_kit.geodesics.heat import Boundary, HeatGeodesics
 from spectra_kit.geodesics.result import DistanceField
 from spectra_kit.geodesics.solvers import Exact, Solver, WithinMemory
-from spectra_kit.geodesics.sources import SourcesLike, check_sources
+from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.geometry.seams import warn_of_seams
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation
@@ -42,8 +42,7 @@ def geodesic_distance(
         Heat that each source emits, 1 by default.
     solver : Direct, Iterative or WithinMemory, default WithinMemory()
         How linear systems are solved. With the default, none is on a mesh of at most 2,000
-        vertices: they take `exact_distances`, unless a source lies inside a face or another of
-        the options below is given.
+        vertices: they take `exact_distances`, unless another of the options below is given.
     time_coefficient, boundary
         As of `HeatGeodesics`.
 
@@ -85,8 +84,10 @@ def exact_field(
     """Measure exact distances where they cost little and can be had, None elsewhere."""
     if not isinstance(geometry, TriangleMesh) or geometry.n > EXACT:
         return None
+    if isinstance(sources, Sources) and sources.offsets.any():  # which points is not known
+        return None
     clock, checked = Clock(), check_sources(sources, geometry)
-    exact = None if checked.offsets.any() else exact_or_none(geometry, checked)
+    exact = exact_or_none(geometry, sources)
     if exact is None:
         return None
     return DistanceField(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,13 +13,14 @@ from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_indices
 from spectra_kit.errors import ConvergenceError, InvalidInputError
-from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
+from spectra_kit.geodesics.sources import SourcesLike, points_named
+from spectra_kit.geodesics.splits import split_at
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.geometry.shapes import component_units
 from spectra_kit.operators.checks import check_three_corners
 
 if TYPE_CHECKING:
-    from spectra_kit.geodesics._exact_kernels import Soup
+    from spectra_kit.geodesics._exact_kernels import Front, Soup
 
 
 # Vertices up to which exact distances cost no more than is noticed. One field takes 0.013, 0.030
@@ -48,8 +49,8 @@ def exact_distances(
     mesh : TriangleMesh
         With n vertices. Any topology: where more than two faces meet in an edge, or fans of faces
         in a vertex, paths lead across to each of them. The winding does not matter.
-    sources : int, array of int of shape (s,), or mask of shape (n,)
-        Vertices; see `check_sources`. A point of a face must be made one: see `FacePoint`.
+    sources : int, FacePoint, sequence or array of these, or mask of shape (n,)
+        See `check_sources`.
     targets : array_like of shape (t,), integers, optional
         Only the distances of these vertices (default: all). It stops as soon as they are known:
         near ones cost less.
@@ -90,26 +91,32 @@ def exact_distances(
     >>> sk.geodesics.exact_distances(sk.TriangleMesh(points, faces), 0)[[1, 3, 7]]
     array([1.    , 1.4142, 2.2360])
     """
-    checked = check_sources(sources, mesh)
-    if checked.offsets.any():
-        raise InvalidInputError(
-            "sources",
-            "be vertices",
-            "a point inside a face",
-            advice="split the face there, as `FacePoint` shows, or take"
-            " geodesic_distance(mesh, sources)",
-        )
+    named = points_named("sources", sources, mesh)
     ends = np.arange(mesh.n) if targets is None else check_indices("targets", targets, mesh.n)
+    split = split_at(mesh, named)
+    return propagated(split.mesh, np.unique(split.vertices), ends).distances[ends]
+
+
+class Propagated(NamedTuple):
+    """What is known of the shortest paths from some vertices."""
+
+    distances: Floats
+    """Of all vertices, in length; infinite where no path leads, or none was asked for."""
+    soup: Soup
+    front: Front
+
+
+def propagated(mesh: TriangleMesh, sources: Ints, targets: Ints) -> Propagated:
+    """Measure distances, as `exact_distances`, until those of `targets` are known."""
     from spectra_kit.geodesics._exact_kernels import propagate  # numba is slow to import
 
     distances = np.full(mesh.n, np.inf)
     # Targets that no path reaches would keep it searching everywhere, in vain.
     label = mesh.component_labels
-    reachable = ends[np.isin(label[ends], label[checked.vertices])]
-    soup, unit = _soup(mesh)
+    reachable = targets[np.isin(label[targets], label[sources])]
+    soup, unit = soup_of(mesh)
     most = _WINDOWS * (len(mesh.faces) + mesh.n)
-    count = propagate(soup, np.array(checked.vertices), np.unique(reachable), distances, most)
-    distances, unit = distances[ends], unit[ends]
+    front = propagate(soup, sources, np.unique(reachable), distances, most)
     with np.errstate(over="ignore", invalid="ignore"):  # unreached and of no size: inf * 0
         found = np.where(np.isfinite(distances), distances * unit, np.inf)
     if (np.isfinite(distances) & ~np.isfinite(found)).any():
@@ -119,16 +126,16 @@ def exact_distances(
             f"some above {np.finfo(float).max:.1e}",
             advice="choose another unit of length",
         )
-    if count > most:
+    if front.size[5] > most:
         raise ConvergenceError(
             f"exact paths need more than {most} windows; `mesh` has triangles so thin that they"
             " go round and round: remesh, or take geodesic_distance(mesh, sources)",
             partial=found,
         )
-    return found
+    return Propagated(found, soup, front)
 
 
-def _soup(mesh: TriangleMesh) -> tuple[Soup, Floats]:
+def soup_of(mesh: TriangleMesh) -> tuple[Soup, Floats]:
     """Return what `propagate` needs to know of the triangles, and what counts as 1 (n,)."""
     from spectra_kit.geodesics._exact_kernels import Soup
 
@@ -195,9 +202,9 @@ def _fans(tails: Ints, around: Ints, n: int) -> Ints:
     return np.bincount(vertex, minlength=n)
 
 
-def exact_or_none(mesh: TriangleMesh, sources: Sources) -> Floats | None:
+def exact_or_none(mesh: TriangleMesh, sources: SourcesLike) -> Floats | None:
     """Return exact distances from vertices; None where triangles are too thin for them."""
     try:
-        return exact_distances(mesh, sources.vertices)
+        return exact_distances(mesh, sources)
     except ConvergenceError:
         return None

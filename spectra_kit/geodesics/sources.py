@@ -40,27 +40,17 @@ class FacePoint:
 
     Notes
     -----
-    The heat method takes it with a mesh. What knows no faces, as a triangulation or a spectrum,
-    takes ``check_sources(point, mesh)``; a cloud, its nearest point. `exact_distances` takes
-    vertices only, so the face has to be split at the point, as below.
+    What takes a mesh takes it. What knows no faces, as a triangulation or a spectrum, takes
+    ``check_sources(point, mesh)``; a cloud, its nearest point.
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from spectra_kit.geodesics import FacePoint
-    >>> from spectra_kit.geometry import TriangleMesh, sphere
+    >>> from spectra_kit.geodesics import FacePoint, exact_distances
+    >>> from spectra_kit.geometry import sphere
     >>> mesh, point = sphere(subdivisions=2).geometry, FacePoint(7, [0.5, 0.25, 0.25])
     >>> point
     FacePoint(face=7, barycentric=(0.5, 0.25, 0.25))
-
-    Three faces around a vertex of its own in place of one:
-
-    >>> a, b, c = mesh.faces[point.face]
-    >>> fan = [[a, b, mesh.n], [b, c, mesh.n], [c, a, mesh.n]]
-    >>> faces = np.vstack([np.delete(mesh.faces, point.face, axis=0), fan])
-    >>> split = TriangleMesh(np.vstack([mesh.points, point.position(mesh)]), faces)
-    >>> from spectra_kit.geodesics import exact_distances
-    >>> exact_distances(split, mesh.n)[[a, b, c]]
+    >>> exact_distances(mesh, point)[mesh.faces[point.face]]
     array([0.1..., 0.2..., 0.2...])
     """
 
@@ -182,17 +172,7 @@ def check_sources(
     every = np.concatenate([row[0] for row in rows])
     shares = np.concatenate([w * row[1] for w, row in zip(emitted, rows, strict=True)])
     lengths = np.concatenate([row[2] for row in rows])
-    if isinstance(geometry, TriangleMesh):
-        used = geometry.referenced_vertices  # ascending
-        lone = np.sort(every[used[np.searchsorted(used[:-1], every)] != every])
-        if len(lone):
-            raise InvalidInputError(
-                "sources",
-                "lie on the surface",
-                f"vertex {lone[0]}, which no face uses",
-                advice="drop such vertices with {}",
-                remedies=("mesh.without_unreferenced()",),
-            )
+    _check_used("sources", every, geometry)
     vertices, index = np.unique(every, return_inverse=True)
     offsets = np.full(len(vertices), np.inf)
     np.minimum.at(offsets, index, lengths)
@@ -261,28 +241,61 @@ def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint
     return FacePoint(int(proper[face[0]]), tuple((weights / weights.sum()).tolist()))
 
 
-def _named(sources: Any, geometry: HasPoints) -> list[int | FacePoint]:
+def points_named(name: str, points: Any, mesh: TriangleMesh) -> list[int | FacePoint]:
+    """Return vertices and points of faces one by one, all of them on the surface."""
+    named = _named(points, mesh, name)
+    if not named:
+        raise InvalidInputError(name, "name at least one point", "none")
+    for point in named:
+        if isinstance(point, FacePoint):
+            _corners(point, mesh)
+    _check_used(name, np.array([p for p in named if not isinstance(p, FacePoint)], int), mesh)
+    return named
+
+
+def _check_used(name: str, vertices: Ints, geometry: HasPoints) -> None:
+    if not isinstance(geometry, TriangleMesh) or not len(vertices):
+        return
+    used = geometry.referenced_vertices  # ascending
+    lone = np.sort(vertices[used[np.searchsorted(used[:-1], vertices)] != vertices])
+    if len(lone):
+        raise InvalidInputError(
+            name,
+            "lie on the surface",
+            f"vertex {lone[0]}, which no face uses",
+            advice="drop such vertices with {}",
+            remedies=("mesh.without_unreferenced()",),
+        )
+
+
+def _named(sources: Any, geometry: HasPoints, name: str = "sources") -> list[int | FacePoint]:
     """Return the sources one by one."""
+    if isinstance(sources, Sources):
+        if sources.offsets.any():
+            raise InvalidInputError(
+                name,
+                "be vertices and points of faces as they were named",
+                "what became of points inside faces, the heat of their corners",
+            )
+        return list(sources.vertices.tolist())
     if isinstance(sources, FacePoint):
         return [sources]
     if isinstance(sources, Sequence) and any(isinstance(s, FacePoint) for s in sources):
         last = geometry.n - 1
         return [
-            s if isinstance(s, FacePoint) else check_count("sources", s, low=0, high=last)
+            s if isinstance(s, FacePoint) else check_count(name, s, low=0, high=last)
             for s in sources
         ]
     if isinstance(sources, np.ndarray) and sources.dtype == bool:
         if sources.shape != (geometry.n,):
-            raise InvalidInputError(
-                "sources", f"have shape ({geometry.n},) as a mask", sources.shape
-            )
+            raise InvalidInputError(name, f"have shape ({geometry.n},) as a mask", sources.shape)
         sources = np.flatnonzero(sources)
     if isinstance(sources, Sequence) and not sources:
         return []  # to NumPy an empty list is one of floats
-    array = check_indices("sources", sources, geometry.n)
+    array = check_indices(name, sources, geometry.n)
     if array.ndim > 1:
         raise InvalidInputError(
-            "sources",
+            name,
             "be one index or a vector of them",
             f"shape {array.shape}",
             advice="`nearest_source` finds that of a coordinate",

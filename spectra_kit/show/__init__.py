@@ -8,6 +8,7 @@ notebook, and is written to the file that is given as its `path`.
 from spectra_kit.show.animation import animate_modes
 from spectra_kit.show.camera import View
 from spectra_kit.show.convergence import SolverRun, plot_convergence
+from spectra_kit.show.curves import plot_curves, plot_vectors
 from spectra_kit.show.fields import Panel, plot_fields, plot_panels
 from spectra_kit.show.isolines import plot_distance
 from spectra_kit.show.layout import Page
@@ -37,6 +38,7 @@ __all__ = [
     "plot_convergence",
     "plot_correspondence",
     "plot_correspondences",
+    "plot_curves",
     "plot_distance",
     "plot_error_curves",
     "plot_fields",
@@ -46,4 +48,5 @@ __all__ = [
     "plot_signatures",
     "plot_spectrum",
     "plot_thumbnails",
+    "plot_vectors",
 ]

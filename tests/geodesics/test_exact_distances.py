@@ -7,7 +7,7 @@ from geodesic_truths import CORNERS, QUADS, angles, by_libigl, cube, straight
 from scipy.spatial import Delaunay
 
 from spectra_kit.errors import ConvergenceError
-from spectra_kit.geodesics import FacePoint, exact_distances, pair_distances
+from spectra_kit.geodesics import exact_distances, pair_distances
 from spectra_kit.geometry import TriangleMesh, sphere
 
 
@@ -233,8 +233,7 @@ WIDE = BALL.with_points(1.7e308 * BALL.points)  # a diameter is no number
 @pytest.mark.parametrize(
     ("mesh", "sources", "argument", "expected"),
     [
-        (SQUARE, [], "sources", "name at least one source"),
-        (SQUARE, FacePoint(0, [0.2, 0.3, 0.5]), "sources", "be vertices, got a point inside"),
+        (SQUARE, [], "sources", "name at least one point"),
         (LONE, 64, "sources", "lie on the surface, got vertex 64, which no face uses"),
         (LINE, 0, "mesh", "have three corners to a face, got 1 face with a vertex twice"),
         (WIDE, 0, "mesh", "have distances that are numbers, got some above 1.8e+308"),

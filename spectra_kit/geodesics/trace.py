@@ -1,0 +1,368 @@
+"""Exponential and logarithmic map of a mesh: `trace_geodesic` and `logarithmic_map`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Rebuilt
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import check_positive, real_array
+from spectra_kit._core.warn import warn
+from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
+from spectra_kit.geodesics.exact import propagated, soup_of
+from spectra_kit.geodesics.paths import SurfacePath, path_of, surface_of, walk_of
+from spectra_kit.geodesics.sources import FacePoint, points_named
+from spectra_kit.geodesics.splits import split_at
+from spectra_kit.geometry import TriangleMesh
+
+if TYPE_CHECKING:
+    from spectra_kit.geodesics._exact_kernels import Soup
+
+_ROOM = 1024  # segments of a path to begin with
+_ROUNDING = 1e-12  # of a length
+
+
+class Fan(NamedTuple):
+    """The corners around a vertex, one after the other, and the angles they begin at."""
+
+    sides: Ints
+    """Corners, as the side that begins there, (d,)."""
+    forward: Ints
+    """1 where the turn is from that side to the one before, as the face is wound; or -1."""
+    angles: Floats
+    """Of each corner, (d,)."""
+    begins: Floats
+    """Sum of those before, (d,)."""
+    closed: bool
+
+    @property
+    def total(self) -> float:
+        """All of it: a full turn where the surface is flat."""
+        return float(self.angles.sum())
+
+    @property
+    def scale(self) -> float:
+        """What directions are turned by for each of these angles: all around is a full turn."""
+        return 2 * np.pi / self.total if self.closed else 1.0
+
+
+@checked
+@dataclass(frozen=True, eq=False)
+class LogarithmicMap(Rebuilt):
+    """Where points of a mesh lie, seen from one of them: direction and distance.
+
+    Attributes
+    ----------
+    coordinates : ndarray of shape (n, 2)
+        Of each vertex in the tangent plane of the source: its norm is the exact distance. NaN
+        where no path leads.
+    axes : ndarray of shape (2, 3)
+        The axes of that plane, of unit length: ``coordinates @ axes`` are vectors in space, which
+        `trace_geodesic` takes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import spectra_kit as sk
+    >>> mesh = sk.geometry.rectangle(n=200).geometry
+    >>> found = sk.geodesics.logarithmic_map(mesh, 50)
+    >>> bool(np.allclose(found.coordinates @ found.axes, mesh.points - mesh.points[50]))
+    True
+    """
+
+    coordinates: Floats
+    axes: Floats
+
+
+@checked
+def trace_geodesic(
+    mesh: TriangleMesh,
+    source: int | FacePoint,
+    direction: ArrayLike,
+    *,
+    length: float | None = None,
+) -> SurfacePath:
+    """Follow the straightest path from a point in a direction: the exponential map.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        With n vertices; of any winding.
+    source : int or FacePoint
+        Where it begins.
+    direction : array_like of shape (3,)
+        In space; what of it is tangent counts. At a vertex, angles are stretched to fill a turn,
+        which is turned to where edges fit best, as in `logarithmic_map`.
+    length : float, optional
+        How far (default: the length of the tangent part of `direction`).
+
+    Returns
+    -------
+    SurfacePath
+        Straight across edges; at a vertex it leaves as much angle on its left as on its right.
+
+    Warns
+    -----
+    DoubtfulDistanceWarning
+        If it is shorter than `length`, as it meets the boundary, or an edge or vertex where more
+        than two sheets meet, so that straight on has no meaning.
+
+    Notes
+    -----
+    Polthier and Schmies, *Straightest geodesics on polyhedral surfaces*, Mathematical
+    Visualization, 1998. potpourri3d traces on manifold meshes of one winding, and returns points
+    alone.
+
+    Examples
+    --------
+    Once around a sphere:
+
+    >>> import numpy as np
+    >>> import spectra_kit as sk
+    >>> ball = sk.geometry.sphere(subdivisions=4).geometry
+    >>> path = sk.geodesics.trace_geodesic(ball, 0, [0, 0, 1], length=2 * np.pi)
+    >>> bool(np.linalg.norm(path.points[-1] - ball.points[0]) < 0.05)
+    True
+    """
+    if length is not None:
+        check_positive("length", length)
+    towards = real_array("direction", direction)
+    if towards.shape != (3,):
+        raise InvalidInputError("direction", "have shape (3,)", towards.shape)
+    split = split_at(mesh, points_named("source", source, mesh))
+    v, (soup, unit) = split.vertices[0], soup_of(split.mesh)
+    fan = fan_of(soup, v, "source")
+    axes = _axes(split.mesh, fan)
+    x, y = axes @ towards
+    tangent = float(np.hypot(x, y))
+    if not tangent > _ROUNDING * np.linalg.norm(towards):
+        raise InvalidInputError(
+            "direction",
+            "have a part in the tangent plane",
+            f"{towards.tolist()}, along the normal" if towards.any() else "the zero vector",
+        )
+    angle = float(np.arctan2(y, x)) % (2 * np.pi) / fan.scale
+    if not fan.closed and angle > fan.total:
+        turn = 2 * np.pi - angle
+        if min(angle - fan.total, turn) > 1e-9:
+            raise InvalidInputError(
+                "direction", "lead onto the surface from the boundary", f"{towards.tolist()}"
+            )
+        angle = fan.total if angle - fan.total < turn else 0.0
+    wanted = tangent if length is None else float(length)
+    faces, ends, missing = _traced(soup, fan, angle, wanted / unit[v])
+    if missing > 0:
+        warn(
+            f"the path from {source} ends after {wanted - missing * unit[v]:.6g} of {wanted:.6g},"
+            " at the boundary or where more than two sheets meet",
+            DoubtfulDistanceWarning,
+            advice="take the path as it is, or another direction",
+        )
+    return path_of(split, faces, ends, v)
+
+
+@checked
+def logarithmic_map(mesh: TriangleMesh, source: int | FacePoint) -> LogarithmicMap:
+    """Return direction and distance of all vertices, seen from one point: inverse of tracing.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        With n vertices.
+    source : int or FacePoint
+        Where they are seen from, with one fan of faces around.
+
+    Returns
+    -------
+    LogarithmicMap
+        Coordinates (n, 2), exact: of the shortest paths. They jump where two of these are as
+        short; beyond vertices with more than a full turn of angles, and beyond holes, all that is
+        behind lies in one direction.
+
+    Warns
+    -----
+    DoubtfulDistanceWarning
+        If the paths to some vertices are lost in triangles that are extremely thin; NaN there.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import spectra_kit as sk
+    >>> mesh = sk.geometry.sphere(subdivisions=3).geometry
+    >>> found = sk.geodesics.logarithmic_map(mesh, 0)
+    >>> path = sk.geodesics.trace_geodesic(mesh, 0, found.coordinates[100] @ found.axes)
+    >>> bool(np.allclose(path.points[-1], mesh.points[100]))
+    True
+    """
+    from spectra_kit.geodesics._walk_kernels import NO_ROOM, last_segments
+
+    split = split_at(mesh, points_named("source", source, mesh))
+    v, n = split.vertices[0], split.mesh.n
+    known = propagated(split.mesh, np.array([v]), np.arange(n))
+    fan = fan_of(known.soup, v, "source")
+    last, at, room = np.empty(n, np.int64), np.empty((n, 3)), _ROOM
+    while last_segments(*walk_of(known), *_buffers(room), last, at) == NO_ROOM:
+        room *= 2
+    reached = np.flatnonzero(last >= 0)
+    faces = split.mesh.faces[last[reached]]
+    side = 3 * last[reached] + np.argmax(faces == v, axis=1)
+    place = np.zeros(3 * len(split.mesh.faces), dtype=np.int64)
+    place[fan.sides] = np.arange(len(fan.sides))
+    i = place[side]
+    inside = _angles_in(known.soup, side, at[reached])
+    turned = np.where(fan.forward[i] > 0, inside, fan.angles[i] - inside)
+    angle = (fan.begins[i] + turned) * fan.scale
+    coordinates = np.full((n, 2), np.nan)
+    distance = known.distances[reached, None]
+    coordinates[reached] = distance * np.column_stack([np.cos(angle), np.sin(angle)])
+    coordinates[v] = 0.0
+    lost = int((np.isfinite(known.distances[: mesh.n]) & np.isnan(coordinates[: mesh.n, 0])).sum())
+    if lost:
+        warn(
+            f"the paths to {lost} of {mesh.n} vertices are lost in triangles that are extremely"
+            " thin; they are NaN",
+            DoubtfulDistanceWarning,
+            advice="remesh",
+        )
+    return LogarithmicMap(coordinates[: mesh.n], _axes(split.mesh, fan))
+
+
+def fan_of(soup: Soup, v: int, name: str) -> Fan:
+    """Return the fan of faces around a vertex, if it is one."""
+    around = list(soup.corners[soup.first[v] : soup.first[v + 1]])
+    turned, closed = _turned(soup, v, around[0], 1, name)
+    if not closed:
+        back, _ = _turned(soup, v, around[0], -1, name)
+        turned = [(side, -way) for side, way in reversed(back[1:])] + turned
+    if len(turned) != len(around):
+        raise _no_fan(name, v, "several fans of faces around it")
+    sides, ways = (np.array(column) for column in zip(*turned, strict=True))
+    angles = np.arctan2(soup.apex_y[sides], soup.apex_x[sides])
+    return Fan(sides, ways, angles, np.append(0.0, np.cumsum(angles)[:-1]), closed)
+
+
+def _turned(
+    soup: Soup, v: int, side: int, way: int, name: str
+) -> tuple[list[tuple[int, int]], bool]:
+    """Go round vertex v from a corner, and return the corners, and whether they close."""
+    first, found = side, []
+    while True:
+        found.append((int(side), way))
+        edge = _before(side) if way > 0 else side
+        other = soup.around[edge]
+        if other == edge:
+            return found, False
+        if soup.around[other] != edge:
+            raise _no_fan(name, v, "an edge of more than two faces")
+        # It either begins at v, so that the turn enters by it, or ends there.
+        side, way = (other, 1) if soup.tails[other] == v else (_after(other), -1)
+        if side == first:
+            return found, True
+
+
+def _no_fan(name: str, v: int, got: str) -> InvalidInputError:
+    return InvalidInputError(
+        name,
+        "lie on one sheet",
+        f"vertex {v} with {got}, so that directions have no order",
+        advice="take a point beside it",
+    )
+
+
+def _after(side: int) -> int:
+    return side + 1 if side % 3 < 2 else side - 2
+
+
+def _before(side: int) -> int:
+    return side - 1 if side % 3 else side + 2
+
+
+def _axes(mesh: TriangleMesh, fan: Fan) -> Floats:
+    """Return the axes (2, 3) of the tangent plane, turned so that edges fit their angles best."""
+    faces, c = mesh.faces[fan.sides // 3], fan.sides % 3
+    rows = np.arange(len(faces))
+    at, after, before = (mesh.points[faces[rows, (c + i) % 3]] for i in range(3))
+    size = np.abs(after - at).max()  # powers of a length in any unit are in range
+    ways = np.stack([after - at, before - at]) / size
+    normals = np.cross(*ways)
+    areas = np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)
+    normal = (fan.forward * fan.angles / areas) @ normals
+    normal /= np.linalg.norm(normal)
+    # In any axes of that plane, edges as complex numbers, and what turns them to their angles.
+    first = np.linalg.svd(normal[None])[2][1]
+    axes = np.stack([first, np.cross(normal, first)])
+    forward = fan.forward > 0
+    begins, ends = np.where(forward[:, None], ways, ways[::-1])
+    angles = np.stack([fan.begins, fan.begins + fan.angles]) * fan.scale
+    seen = np.stack([begins, ends]) @ axes.T @ [1, 1j]
+    turn = (seen / np.abs(seen) * np.exp(-1j * angles)).sum()
+    cos, sin = turn.real / abs(turn), turn.imag / abs(turn)
+    return np.array([[cos, sin], [-sin, cos]]) @ axes
+
+
+def _plane(soup: Soup, sides: Ints) -> tuple[Floats, Floats, Floats]:
+    """Return corners (s, 3, 2) in the frames of their faces; origins and axes (s, 2) of sides."""
+    face = 3 * (sides // 3)
+    corners = np.zeros((len(sides), 3, 2))
+    corners[:, 1, 0] = soup.lengths[face]
+    corners[:, 2] = np.column_stack([soup.apex_x[face], soup.apex_y[face]])
+    rows, c = np.arange(len(sides)), sides % 3
+    origin, head = corners[rows, c], corners[rows, (c + 1) % 3]
+    return corners, origin, (head - origin) / np.linalg.norm(head - origin, axis=1)[:, None]
+
+
+def _angles_in(soup: Soup, sides: Ints, weights: Floats) -> Floats:
+    """Return the angle from each side at its tail to a point of its face, by weights (s, 3)."""
+    corners, origin, axis = _plane(soup, sides)
+    x, y = (np.einsum("sc,scx->sx", weights, corners) - origin).T
+    return np.arctan2(y * axis[:, 0] - x * axis[:, 1], x * axis[:, 0] + y * axis[:, 1])
+
+
+def _traced(soup: Soup, fan: Fan, angle: float, length: float) -> tuple[Ints, Floats, float]:
+    """Return faces and ends of the segments of a straightest path, and how much is missing."""
+    from spectra_kit.geodesics._walk_kernels import CORNER, NO_ROOM, THERE, trace
+
+    surface, parts = surface_of(soup), []
+    room, whole = _ROOM, length
+    while True:
+        i = min(int(np.searchsorted(fan.begins, angle, side="right")) - 1, len(fan.sides) - 1)
+        side, inside = int(fan.sides[i]), min(angle - fan.begins[i], fan.angles[i])
+        if fan.forward[i] < 0:
+            inside = fan.angles[i] - inside
+        _, origin, axis = _plane(soup, np.array([side]))
+        (ox, oy), (ax, ay) = origin[0], axis[0]
+        cos, sin = length * np.cos(inside), length * np.sin(inside)
+        x, y = ox + cos * ax - sin * ay, oy + cos * ay + sin * ax
+        how = NO_ROOM
+        while how == NO_ROOM:
+            faces, ends = _buffers(room)
+            count, how, met, rx, ry = trace(surface, side // 3, side % 3, x, y, faces, ends)
+            room *= 2 if how == NO_ROOM else 1
+        parts.append((faces[:count], ends[:count]))
+        length = 0.0 if how == THERE else float(np.hypot(rx, ry))
+        if how != CORNER or length <= _ROUNDING * whole:
+            break
+        w = int(soup.tails[met])
+        try:
+            fan = fan_of(soup, w, "source")
+        except InvalidInputError:  # straight on has no meaning there
+            break
+        if not fan.closed:
+            break
+        _, _, axis = _plane(soup, np.array([met]))
+        (ax, ay) = axis[0]
+        back = float(np.arctan2(-ry * ax + rx * ay, -rx * ax - ry * ay))
+        i = int(np.flatnonzero(fan.sides == met)[0])
+        came = fan.begins[i] + (back if fan.forward[i] > 0 else fan.angles[i] - back)
+        angle = (came + fan.total / 2) % fan.total
+    faces, ends = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return faces, ends, length if length > _ROUNDING * whole else 0.0
+
+
+def _buffers(room: int) -> tuple[Ints, Floats]:
+    return np.empty(room, np.int64), np.empty((room, 2, 3))
