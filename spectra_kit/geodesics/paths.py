@@ -161,16 +161,17 @@ class GeodesicPaths:
     def to(self, target: int | FacePoint) -> SurfacePath:
         """Return the shortest path from the nearest source to a vertex, or another of `targets`."""
         split, distances = self._split, self._known.distances
-        end = self._places.get(target) if self._places else None
+        end = self._places.get(target)
         if end is None:
-            if isinstance(target, FacePoint) or not self._all:
+            named = points_named("target", target, self.mesh)[0]
+            if isinstance(named, FacePoint) or not self._all:
                 raise InvalidInputError(
                     "target",
-                    "be one of `targets`" if not self._all else "be a vertex",
+                    "be a vertex" if self._all else "be one of `targets`",
                     f"{target!r}",
                     advice="name it in GeodesicPaths(mesh, sources, targets=...)",
                 )
-            end = points_named("target", target, self.mesh)[0]
+            end = named
         if not np.isfinite(distances[end]):
             raise InvalidInputError(
                 "target",
@@ -204,7 +205,9 @@ class GeodesicPaths:
 
 
 @checked
-def geodesic_path(mesh: TriangleMesh, source: SourcesLike, target: int | FacePoint) -> SurfacePath:
+def geodesic_path(
+    mesh: TriangleMesh, source: int | FacePoint, target: int | FacePoint
+) -> SurfacePath:
     """Find the shortest path along the triangles between two points.
 
     Parameters
@@ -212,7 +215,7 @@ def geodesic_path(mesh: TriangleMesh, source: SourcesLike, target: int | FacePoi
     mesh : TriangleMesh
         Any topology, as of `exact_distances`.
     source : int or FacePoint
-        A vertex, or a point of a face, where it begins; of several, the nearest.
+        A vertex, or a point of a face, where it begins.
     target : int or FacePoint
         Where it ends.
 
@@ -245,7 +248,10 @@ def geodesic_path(mesh: TriangleMesh, source: SourcesLike, target: int | FacePoi
     >>> path.points[-2]
     array([2.666..., 2.666..., 1.333...])
     """
-    return GeodesicPaths(mesh, source, targets=[target]).to(target)
+    (begin,), (end,) = (
+        points_named(name, point, mesh) for name, point in (("source", source), ("target", target))
+    )
+    return GeodesicPaths(mesh, [begin], targets=[end]).to(end)
 
 
 def path_of(split: Split, faces: Ints, ends: Floats, start: int) -> SurfacePath:

@@ -98,7 +98,7 @@ def _holding(parts: list[_Piece], weights: Floats) -> tuple[_Piece, Floats]:
     """Return the piece that holds a point best, and its barycentric coordinates there."""
     inside = [np.linalg.solve(piece.corners.T, weights) for piece in parts]
     best = int(np.argmax([coordinates.min() for coordinates in inside]))
-    return parts[best], inside[best]
+    return parts[best], np.asarray(inside[best])
 
 
 def _split_edge(

@@ -302,7 +302,7 @@ def _axes(mesh: TriangleMesh, fan: Fan) -> Floats:
     seen = np.stack([begins, ends]) @ axes.T @ [1, 1j]
     turn = (seen / np.abs(seen) * np.exp(-1j * angles)).sum()
     cos, sin = turn.real / abs(turn), turn.imag / abs(turn)
-    return np.array([[cos, sin], [-sin, cos]]) @ axes
+    return np.asarray(np.array([[cos, sin], [-sin, cos]]) @ axes)
 
 
 def _plane(soup: Soup, sides: Ints) -> tuple[Floats, Floats, Floats]:
@@ -320,7 +320,8 @@ def _angles_in(soup: Soup, sides: Ints, weights: Floats) -> Floats:
     """Return the angle from each side at its tail to a point of its face, by weights (s, 3)."""
     corners, origin, axis = _plane(soup, sides)
     x, y = (np.einsum("sc,scx->sx", weights, corners) - origin).T
-    return np.arctan2(y * axis[:, 0] - x * axis[:, 1], x * axis[:, 0] + y * axis[:, 1])
+    across, along = y * axis[:, 0] - x * axis[:, 1], x * axis[:, 0] + y * axis[:, 1]
+    return np.asarray(np.arctan2(across, along))
 
 
 def _traced(soup: Soup, fan: Fan, angle: float, length: float) -> tuple[Ints, Floats, float]:

@@ -23,6 +23,7 @@ CHEAP = {  # what is not SMALL with four modes
     "compare": (*SMALL, "-k", "4", "--solver", "dense"),
     "explore": (*SMALL, "-k", "4", "--solver", "none", "-o", "page.html"),
     "geodesic": (*SMALL, "--no-pictures"),
+    "path": (*SMALL, "--no-pictures"),
     "match": ("a.off", "b.off", "-q", "--json", "-k", "30", "--no-pictures"),
     "similar": ("a.off", ".", "-q", "--json", "-k", "20"),
     "label": ("a.off", "known.safetensors", "-q", "--json"),

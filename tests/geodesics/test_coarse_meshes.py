@@ -11,6 +11,7 @@ from spectra_kit.geodesics import (
     Exact,
     FacePoint,
     HeatGeodesics,
+    check_sources,
     geodesic_distance,
 )
 from spectra_kit.geometry import TriangleMesh, rectangle, repair, sphere
@@ -90,6 +91,8 @@ def test_what_only_the_heat_method_has_is_left_to_it() -> None:
     assert exact.distance == pytest.approx(by_libigl(mesh, 0, 7), rel=1e-8)
     for options in ({"time_coefficient": 2.0}, {"solver": Direct()}, {"weights": [1, 2]}):
         assert geodesic_distance(mesh, [0, 7], **options).solver == Direct()
-    assert geodesic_distance(mesh, FacePoint(3, (0.2, 0.3, 0.5))).solver == Direct()
+    point = FacePoint(3, (0.2, 0.3, 0.5))
+    assert geodesic_distance(mesh, check_sources(point, mesh)).solver == Direct()
+    assert geodesic_distance(mesh, point).solver == Exact()
     assert geodesic_distance(mesh.as_cloud(), 0).solver == Direct()
     assert geodesic_distance(creature(2200, seed=0), 0).solver == Direct()

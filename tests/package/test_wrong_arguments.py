@@ -120,6 +120,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     prepared = sk.prepare(spectrum, mesh)
     heat_geodesics = sk.HeatGeodesics(mesh)
     field = heat_geodesics.distance(0)
+    paths = geodesics.GeodesicPaths(mesh, 0)
     config = neo.NeoConfig(width=16, depth=1, heads=2, head_width=8, latents=4, m=16, k=8)
     network = neo.build_network(config)
     signature = features.heat_kernel_signature(spectrum)
@@ -179,7 +180,19 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     instances = (  # whose methods are called, or which are arguments of their kind
         *(mesh, mesh.as_cloud(), laplacian, spectrum, spectrum.provenance, spectrum.certificate),
         *(oriented, triangulation, prepared, heat_geodesics, field, field.poisson, field.heat),
-        *(field.sources, config, network, neo.NeoSubspace(network), candidate, panel, pair, run),
+        *(
+            paths,
+            paths.to(9),
+            geodesics.logarithmic_map(mesh, 0),
+            field.sources,
+            config,
+            network,
+            neo.NeoSubspace(network),
+            candidate,
+            panel,
+            pair,
+            run,
+        ),
         *(plan, spectra, inputs[0], report, done, done.record, pair_of_names, of_map),
         *(datasets.DaskEngine(scheduler="tcp://127.0.0.1:8786"), datasets.Matching()),
         *(dataset, recipe, classifier, segmenter, index, thumbnail, learn.Training(epochs=1)),
@@ -344,6 +357,10 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("distance_matrix.start", 0),
         ("indices", np.arange(50)),
         ("rows", np.arange(100)),
+        ("plot_vectors.vectors", mesh.points),
+        ("curves", [paths.to(9)]),
+        ("direction", [0.3, 0.2, 0.1]),
+        ("plot_vectors.page plot_curves.page", show.Page(dpi=10)),
         ("DistanceField.seconds", {"factor": 1.0}),
         ("save_weights.record", {"legs": []}),
         ("kind", "mesh"),
