@@ -1,4 +1,4 @@
-"""Geodesic distances: by the heat method, exactly, or from the modes alone."""
+"""Geodesic distances, with a sign too, and vectors carried along a surface."""
 
 from spectra_kit.geodesics.distance import geodesic_distance
 from spectra_kit.geodesics.edges import edge_graph, pair_distances
@@ -7,6 +7,7 @@ from spectra_kit.geodesics.heat import HeatGeodesics
 from spectra_kit.geodesics.heat_step import Heat
 from spectra_kit.geodesics.matrix import distance_matrix
 from spectra_kit.geodesics.result import DistanceField
+from spectra_kit.geodesics.signed import signed_distance
 from spectra_kit.geodesics.solvers import Direct, Exact, Iterative, WithinMemory
 from spectra_kit.geodesics.sources import FacePoint, Sources, check_sources, nearest_source
 from spectra_kit.geodesics.spectral import (
@@ -14,6 +15,7 @@ from spectra_kit.geodesics.spectral import (
     spectral_distance,
     spectral_heat,
 )
+from spectra_kit.geodesics.vectors import VectorHeat, smoothest_field, transport_vectors
 
 __all__ = [
     "Direct",
@@ -24,6 +26,7 @@ __all__ = [
     "HeatGeodesics",
     "Iterative",
     "Sources",
+    "VectorHeat",
     "WithinMemory",
     "check_sources",
     "distance_matrix",
@@ -32,7 +35,10 @@ __all__ = [
     "geodesic_distance",
     "nearest_source",
     "pair_distances",
+    "signed_distance",
     "smallest_spectral_time",
+    "smoothest_field",
     "spectral_distance",
     "spectral_heat",
+    "transport_vectors",
 ]

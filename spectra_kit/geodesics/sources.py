@@ -174,7 +174,7 @@ def check_sources(
             expected = f"belong to the geometry of {geometry.n} points"
             raise InvalidInputError("sources", expected, f"those of one of {sources.n}")
         return sources
-    named = _named(sources, geometry)
+    named = named_sources(sources, geometry)
     if not named:
         raise InvalidInputError("sources", "name at least one source", "none")
     emitted = np.ones(len(named)) if weights is None else _check_weights(weights, len(named))
@@ -261,7 +261,7 @@ def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint
     return FacePoint(int(proper[face[0]]), tuple((weights / weights.sum()).tolist()))
 
 
-def _named(sources: Any, geometry: HasPoints) -> list[int | FacePoint]:
+def named_sources(sources: Any, geometry: HasPoints) -> list[int | FacePoint]:
     """Return the sources one by one."""
     if isinstance(sources, FacePoint):
         return [sources]
