@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -63,7 +64,7 @@ def signed_distance(geometry: Geometry, curves: ArrayLike | Sequence[ArrayLike])
     chains = _check_curves(curves, geometry.n)
     heat = VectorHeat(geometry)
     triangulation, axes = heat.triangulation, heat.frames.axes
-    points = triangulation.points / heat.unit[:, None]
+    points = triangulation.points / heat._unit[:, None]
     normals = outward(axes, points, oriented_triangles(geometry))[:, 2]
     put = np.zeros((geometry.n, 3))
     for chain in chains:
@@ -71,17 +72,18 @@ def signed_distance(geometry: Geometry, curves: ArrayLike | Sequence[ArrayLike])
         for end in (chain[:-1], chain[1:]):
             np.add.at(put, end, np.cross(steps, normals[end]) / 2)
     heated = np.einsum("nra,na->nr", axes[:, :2], put)
-    vectors = np.nan_to_num(heat.directions(heated.reshape(-1, 1))[0])
+    vectors = np.nan_to_num(heat._directions(heated.reshape(-1, 1))[0])
     # The rise along each side, by the vectors at both its ends.
-    i, j = triangulation.corners.ravel(), np.roll(triangulation.corners, -1, axis=1).ravel()
-    chords, rise = points[j] - points[i], np.zeros(len(i))
+    i = triangulation.corners.astype(np.int64).ravel()
+    j = np.roll(triangulation.corners, -1, axis=1).astype(np.int64).ravel()
+    chords, slope = points[j] - points[i], np.zeros(len(i))
     for end in (i, j):
-        flat = np.einsum("era,ea->er", axes[end, :2], chords)
-        straight = np.einsum("er,era->ea", unit_vectors(flat), axes[end, :2])
-        rise += np.einsum("ea,ea->e", straight, vectors[end]) / 2
-    rise *= (triangulation.lengths * opposite_cotangents(triangulation.lengths)).ravel() / 2
-    flow = np.bincount(j, rise, geometry.n) - np.bincount(i, rise, geometry.n)
-    flow *= triangulation.share
+        straight = np.einsum("era,ea->er", axes[end, :2], chords)
+        straight = np.einsum("er,era->ea", unit_vectors(straight), axes[end, :2])
+        slope += np.einsum("ea,ea->e", straight, vectors[end]) / 2
+    weights = triangulation.share / 2 * opposite_cotangents(triangulation.lengths)
+    rise = slope * (weights * triangulation.lengths).ravel()
+    flow = np.subtract(*(np.bincount(end, rise, geometry.n) for end in (j, i)), dtype=np.float64)
     laplacian = triangulation.laplacian
     labels, held = laplacian.component_labels, np.concatenate(chains)
     free = np.setdiff1d(np.flatnonzero(np.isin(labels, labels[held])), held)
@@ -93,17 +95,12 @@ def signed_distance(geometry: Geometry, curves: ArrayLike | Sequence[ArrayLike])
     return distance
 
 
-def _check_curves(curves: ArrayLike | Sequence[ArrayLike], n: int) -> list[Ints]:
+def _check_curves(curves: Any, n: int) -> list[Ints]:
     """Return the vertices along each curve, none after itself."""
-    several = isinstance(curves, Sequence) and len(curves) and np.ndim(curves[0]) > 0
-    chains = []
-    for curve in curves if several else [curves]:
-        chain = check_indices("curves", curve, n)
+    several = isinstance(curves, Sequence) and len(curves) > 0 and np.ndim(curves[0]) > 0
+    chains = [check_indices("curves", curve, n) for curve in (curves if several else [curves])]
+    for chain in chains:
         if chain.ndim != 1 or len(chain) < 2 or (np.diff(chain) == 0).any():
-            raise InvalidInputError(
-                "curves",
-                "have two vertices or more each, none twice in a row",
-                f"{chain.tolist() if chain.size < 9 else f'shape {chain.shape}'}",
-            )
-        chains.append(chain)
+            expected = "have two vertices or more each, none twice in a row"
+            raise InvalidInputError("curves", expected, f"{chain[:9].tolist()}")
     return chains

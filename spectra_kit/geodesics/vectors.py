@@ -84,9 +84,9 @@ class VectorHeat:
         self.frames = tangent_frames(geometry)
         laplacian = self.triangulation.laplacian
         # Each component in a unit of its own, as in `System`.
-        self.unit = self.triangulation.spacings[laplacian.component_labels]
+        self._unit = self.triangulation.spacings[laplacian.component_labels]
         connection = laplacian_along(self.triangulation, self.frames, geometry, clock)
-        self._mass = connection.mass / np.repeat(self.unit, 2) ** 2
+        self._mass = connection.mass / np.repeat(self._unit, 2) ** 2
         self._factor = SparseLDL(
             sparse.csr_array(
                 time_coefficient * connection.stiffness + sparse.diags_array(self._mass)
@@ -103,17 +103,13 @@ class VectorHeat:
         planes there: what stands on them is left out. Each point has that of the nearest place, but
         for a blend along the lines between two of them.
         """
-        places = named_sources(sources, self.geometry)
-        given = real_array("vectors", vectors)
-        if given.shape != (len(places), 3):
-            raise InvalidInputError("vectors", f"have shape ({len(places)}, 3)", given.shape)
-        owners, points, shares = self._spread(places)
-        scale = np.maximum(np.abs(given).max(axis=1), np.finfo(float).tiny)
-        along = np.einsum(
-            "sra,sa->sr", self.frames.axes[points, :2], (given / scale[:, None])[owners]
-        )
-        lengths = scale * np.bincount(owners, shares * np.hypot(*along.T))
-        if (bad := lengths <= _TANGENT * scale).any():
+        owners, points, shares = self._spread(sources)
+        given, count = real_array("vectors", vectors), int(owners[-1]) + 1
+        if given.shape != (count, 3):
+            raise InvalidInputError("vectors", f"have shape ({count}, 3)", given.shape)
+        along = np.einsum("sra,sa->sr", self.frames.axes[points, :2], given[owners])
+        lengths = np.bincount(owners, shares * np.hypot(*along.T))
+        if (bad := lengths <= _TANGENT * np.abs(given).max(axis=1)).any():
             raise InvalidInputError(
                 "vectors",
                 "have a part along the surface",
@@ -121,11 +117,12 @@ class VectorHeat:
                 advice="leave out what is zero, or stands on the surface",
             )
         heat = np.zeros((self.triangulation.n, 2))
-        np.add.at(heat, points, shares[:, None] * unit_vectors(along))
-        carried = self.directions(heat.reshape(-1, 1))[0]
-        if np.ptp(lengths) > 0:
-            return carried * self.extend(sources, lengths)[:, None]
-        return carried * lengths[0]
+        np.add.at(heat, points, along * (shares / np.hypot(*along.T))[:, None])
+        carried = self._directions(heat.reshape(-1, 1))[0]
+        alike = np.ptp(lengths) == 0  # as a rule: one source
+        return np.asarray(
+            carried * (lengths[0] if alike else self.extend(sources, lengths)[:, None])
+        )
 
     def extend(self, sources: Places, values: ArrayLike) -> Floats:
         """Carry values, given at some places, to all points: that of the nearest, NaN without one.
@@ -133,26 +130,22 @@ class VectorHeat:
         `values` (s,) or (s, c) become (n,) or (n, c). Between places of about the same distance
         they blend, and none leaves the range of those given.
         """
-        places = named_sources(sources, self.geometry)
-        given = real_array("values", values)
-        if given.ndim not in (1, 2) or len(given) != len(places):
-            raise InvalidInputError("values", f"have shape ({len(places)}, c)", given.shape)
-        owners, points, shares = self._spread(places)
-        columns = given.reshape(len(places), -1)
-        low, high = columns.min(axis=0), columns.max(axis=0)
-        span = np.where(high > low, high / 2 - low / 2, 1.0)
-        positive = np.column_stack([np.ones(len(places)), 1 + (columns / 2 - low / 2) / span])
-        sides = [
-            np.bincount(points, shares * one[owners], self.triangulation.n) for one in positive.T
-        ]
+        owners, points, shares = self._spread(sources)
+        given, count, n = real_array("values", values), int(owners[-1]) + 1, self.triangulation.n
+        if given.ndim not in (1, 2) or len(given) != count:
+            raise InvalidInputError("values", f"have shape ({count},) or ({count}, c)", given.shape)
+        columns = given.reshape(count, -1) / 2  # so that no difference overflows
+        low, span = columns.min(axis=0), np.ptp(columns, axis=0)
+        share = (columns - low) / np.where(span > 0, span, 1.0)
+        weights = [np.ones(count), *(1 + share.T)]
+        sides = [np.bincount(points, shares * one[owners], n).astype(np.float64) for one in weights]
         plain, *others = self._heat_step.solve(sides)
-        found = np.full((self.triangulation.n, len(others)), np.nan)
-        warm = plain.values > 0
+        found, warm = np.full((n, len(others)), np.nan), plain.values > 0
         for column, one in enumerate(others):
             ratio = one.values[warm] / plain.values[warm]
-            share = np.ldexp(ratio, one.exponents[warm] - plain.exponents[warm]) - 1
-            found[warm, column] = low[column] + 2 * span[column] * share.clip(0, 1)
-        return found.reshape(-1, *given.shape[1:])
+            ratio = np.ldexp(ratio, one.exponents[warm] - plain.exponents[warm])
+            found[warm, column] = low[column] + span[column] * (ratio - 1).clip(0, 1)
+        return (2 * found).reshape(n, *given.shape[1:])
 
     def logarithm(self, source: int) -> Floats:
         """Return at which tangent vector of a vertex each point lies; (n, 3), NaN beyond reach.
@@ -163,24 +156,27 @@ class VectorHeat:
         """
         laplacian, axes, n = self.triangulation.laplacian, self.frames.axes, self.triangulation.n
         vertex = check_count("source", source, low=0, high=n - 1)
-        (heat,) = self._heat_step.solve([np.bincount([vertex], minlength=n).astype(np.float64)])
+        (heat,) = self._heat_step.solve([np.where(np.arange(n) == vertex, 1.0, 0.0)])
         exponents = heat.exponents - heat.exponents[vertex] + _LIFT - _ROOM
         lifted = np.ldexp(heat.values / heat.values[vertex], exponents)
-        edges, points = sparse.coo_array(laplacian.stiffness), laplacian.points / self.unit[:, None]
+        edges, points = (
+            sparse.coo_array(laplacian.stiffness),
+            laplacian.points / self._unit[:, None],
+        )
         i, j, chords = edges.row, edges.col, points[edges.col] - points[edges.row]
         steps = np.einsum("era,ea->er", axes[i, :2], chords)  # along the plane, as long as in space
         steps = unit_vectors(steps) * np.linalg.norm(chords, axis=1, keepdims=True)
         flow = (self._time * edges.data * lifted[j])[:, None] * steps
-        put = np.column_stack([np.bincount(i, part, n) for part in flow.T])
+        put: Floats = np.column_stack([np.bincount(i, part, n) for part in flow.T])
         away = self._factor.solve(put.ravel()).reshape(n, 2)
         away /= np.where(lifted > _FLOOR, lifted, np.nan)[:, None]
         start = np.zeros((n, 2, 2))
         start[vertex] = np.eye(2)
-        carried = self.directions(start.reshape(2 * n, 2))
+        carried = self._directions(start.reshape(2 * n, 2))
         turned = np.einsum("cna,nra,nr->nc", carried, axes[:, :2], away)
-        return self.unit[vertex] * turned @ axes[vertex, :2]
+        return np.asarray(self._unit[vertex] * turned @ axes[vertex, :2])
 
-    def directions(self, heat: Floats) -> Floats:
+    def _directions(self, heat: Floats) -> Floats:
         """Return the directions of vector heat, put in as (2n, c); (c, n, 3), NaN without any."""
         labels = self.triangulation.laplacian.component_labels
         sides = heat / self._mass[:, None]
@@ -198,17 +194,18 @@ class VectorHeat:
                 advice="raise `time_coefficient`",
             )
         pairs = np.where(warm[:, :, None], pairs, np.nan) / np.where(warm, sizes, 1.0)[:, :, None]
-        return np.einsum("cnr,nra->cna", pairs, self.frames.axes[:, :2])
+        return np.asarray(np.einsum("cnr,nra->cna", pairs, self.frames.axes[:, :2]))
 
     @cached_property
     def _heat_step(self) -> HeatStep:
         """The step that carries values; not needed for vectors of one length."""
-        laplacian, unit = self.triangulation.laplacian, self.unit
+        laplacian, unit = self.triangulation.laplacian, self._unit
         points, mass = laplacian.points / unit[:, None], laplacian.mass / unit**2
         return HeatStep(laplacian.stiffness, mass, points, duration=self._time, direct=True)
 
-    def _spread(self, places: Sequence[int | FacePoint]) -> tuple[Ints, Ints, Floats]:
+    def _spread(self, sources: Places) -> tuple[Ints, Ints, Floats]:
         """Return which place heats which vertices, and its shares of one."""
+        places = named_sources(sources, self.geometry)
         if not places:
             raise InvalidInputError("sources", "name at least one source", "none")
         found = [check_sources(place, self.geometry) for place in places]
@@ -267,8 +264,7 @@ def smoothest_field(geometry: Geometry) -> Floats:
     -------
     ndarray of shape (n, 3)
         Tangent vectors of mean square 1 on each component: its lowest mode, by
-        `connection_laplacian`. Which one is arbitrary where several are as smooth, as on a sphere;
-        and so is the sign. It vanishes where the surface forces it to.
+        `connection_laplacian`. Which one is arbitrary where several are as smooth.
 
     Notes
     -----

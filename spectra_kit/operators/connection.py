@@ -63,14 +63,14 @@ class TangentFrames(Rebuilt):
         if given.shape not in ((2 * n,), (n, 2)):
             expected = f"have shape ({2 * n},) or ({n}, 2)"
             raise InvalidInputError("coordinates", expected, given.shape)
-        return np.einsum("nr,nra->na", given.reshape(-1, 2), self.axes[:, :2])
+        return np.asarray(np.einsum("nr,nra->na", given.reshape(-1, 2), self.axes[:, :2]))
 
     def coordinates(self, vectors: ArrayLike) -> Floats:
         """Return the coordinates (2n,) of vectors in space (n, 3), normal parts left out."""
         given, n = real_array("vectors", vectors), len(self.axes)
         if given.shape != (n, 3):
             raise InvalidInputError("vectors", f"have shape ({n}, 3)", given.shape)
-        return np.einsum("na,nra->nr", given, self.axes[:, :2]).ravel()
+        return np.asarray(np.einsum("na,nra->nr", given, self.axes[:, :2]).ravel())
 
 
 @checked
@@ -105,7 +105,7 @@ def tangent_frames(geometry: Geometry, *, n_neighbors: int = 30) -> TangentFrame
     True
     """
     points, n = geometry.points / unit_of(geometry), geometry.n
-    doubtful, corners = np.zeros(n, dtype=bool), (0, 1, 2)
+    doubtful, corners = np.zeros(n, dtype=bool), [0, 1, 2]
     if isinstance(geometry, TriangleMesh):
         check_faces_usable(geometry)
         turned, clashes = wound_against(geometry)
@@ -118,13 +118,15 @@ def tangent_frames(geometry: Geometry, *, n_neighbors: int = 30) -> TangentFrame
     else:
         n_neighbors = check_cloud_usable(geometry, n_neighbors)
         faces = local_triangles(points, n_neighbors)[0].astype(np.int64)
-        corners = (0,)  # that of the point whose star has the triangle
+        corners = [0]  # that of the point whose star has the triangle
     owners = np.concatenate([faces[:, c] for c in corners])
     weighted = np.concatenate([_corner_normals(points, np.roll(faces, -c, 1)) for c in corners])
     angles = np.linalg.norm(weighted, axis=1)
     total = np.bincount(owners, angles, minlength=n)
     check_area_at_all(total)
-    normals = np.column_stack([np.bincount(owners, part, minlength=n) for part in weighted.T])
+    normals: Floats = np.column_stack(
+        [np.bincount(owners, part, minlength=n) for part in weighted.T]
+    )
     doubtful |= np.linalg.norm(normals, axis=1) < _CANCEL * total
     if doubtful.any():
         normals[doubtful] = _main_axes(owners, weighted, angles, doubtful)
@@ -171,9 +173,9 @@ def connection_laplacian(geometry: Geometry, *, n_neighbors: int = 30) -> Laplac
     array([1., 1., 1., 1., 1., 1., 5., 5.])
     """
     clock = Clock()
-    options = {} if isinstance(geometry, TriangleMesh) else {"n_neighbors": n_neighbors}
-    frames = tangent_frames(geometry, **options)
-    return laplacian_along(intrinsic_delaunay(geometry, **options), frames, geometry, clock)
+    frames = tangent_frames(geometry, n_neighbors=n_neighbors)
+    triangulation = intrinsic_delaunay(geometry, n_neighbors=n_neighbors)
+    return laplacian_along(triangulation, frames, geometry, clock)
 
 
 def laplacian_along(
@@ -201,7 +203,7 @@ def laplacian_along(
 def unit_vectors(vectors: Floats) -> Floats:
     """Return vectors (…, d) of length 1; zero where they are."""
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
+    return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0))
 
 
 def _carried(axes: Floats, i: Ints, j: Ints, seam: float) -> Floats:
@@ -228,7 +230,7 @@ def _corner_normals(points: Floats, faces: Ints) -> Floats:
     sines = np.linalg.norm(across, axis=1)
     angles = np.arctan2(sines, np.einsum("fr,fr->f", one, two))
     angles = np.divide(angles, sines, out=np.zeros_like(sines), where=sines > _FLAT)
-    return across * angles[:, None]
+    return np.asarray(across * angles[:, None])
 
 
 def _main_axes(owners: Ints, weighted: Floats, angles: Floats, some: Bools) -> Floats:

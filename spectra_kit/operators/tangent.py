@@ -112,7 +112,7 @@ def tangent_gradient(
     return TangentGradient(frames, x, y)
 
 
-def check_area_at_all(total: Floats) -> None:
+def check_area_at_all(total: Floats | Ints) -> None:
     """Refuse points (n,) around which triangles have no area in all: they have no plane."""
     if not (total > 0).all():
         raise InvalidInputError(
