@@ -102,5 +102,5 @@ def _check_curves(curves: Any, n: int) -> list[Ints]:
     for chain in chains:
         if chain.ndim != 1 or len(chain) < 2 or (np.diff(chain) == 0).any():
             expected = "have two vertices or more each, none twice in a row"
-            raise InvalidInputError("curves", expected, f"{chain[:9].tolist()}")
+            raise InvalidInputError("curves", expected, f"{chain.ravel()[:9].tolist()}")
     return chains
