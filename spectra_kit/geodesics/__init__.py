@@ -1,4 +1,4 @@
-"""Geodesic distances, by the heat method, exactly, or from the modes alone; and paths."""
+"""Geodesic distances, exact and by heat, and with a sign; paths; vectors carried along a surface."""
 
 from spectra_kit.geodesics.distance import geodesic_distance
 from spectra_kit.geodesics.edges import edge_graph, pair_distances
@@ -9,6 +9,7 @@ from spectra_kit.geodesics.matrix import distance_matrix
 from spectra_kit.geodesics.paths import GeodesicPaths, SurfacePath, geodesic_path
 from spectra_kit.geodesics.result import DistanceField
 from spectra_kit.geodesics.shorten import shortened_path
+from spectra_kit.geodesics.signed import signed_distance
 from spectra_kit.geodesics.solvers import Direct, Exact, Iterative, WithinMemory
 from spectra_kit.geodesics.sources import FacePoint, Sources, check_sources, nearest_source
 from spectra_kit.geodesics.spectral import (
@@ -17,6 +18,7 @@ from spectra_kit.geodesics.spectral import (
     spectral_heat,
 )
 from spectra_kit.geodesics.trace import LogarithmicMap, logarithmic_map, trace_geodesic
+from spectra_kit.geodesics.vectors import VectorHeat, smoothest_field, transport_vectors
 
 __all__ = [
     "Direct",
@@ -30,6 +32,7 @@ __all__ = [
     "LogarithmicMap",
     "Sources",
     "SurfacePath",
+    "VectorHeat",
     "WithinMemory",
     "check_sources",
     "distance_matrix",
@@ -41,8 +44,11 @@ __all__ = [
     "nearest_source",
     "pair_distances",
     "shortened_path",
+    "signed_distance",
     "smallest_spectral_time",
+    "smoothest_field",
     "spectral_distance",
     "spectral_heat",
     "trace_geodesic",
+    "transport_vectors",
 ]

@@ -164,7 +164,7 @@ def check_sources(
             expected = f"belong to the geometry of {geometry.n} points"
             raise InvalidInputError("sources", expected, f"those of one of {sources.n}")
         return sources
-    named = _named(sources, geometry)
+    named = named_sources(sources, geometry)
     if not named:
         raise InvalidInputError("sources", "name at least one source", "none")
     emitted = np.ones(len(named)) if weights is None else _check_weights(weights, len(named))
@@ -243,7 +243,7 @@ def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint
 
 def points_named(name: str, points: Any, mesh: TriangleMesh) -> list[int | FacePoint]:
     """Return vertices and points of faces one by one, all of them on the surface."""
-    named = _named(points, mesh, name)
+    named = named_sources(points, mesh, name)
     if not named:
         raise InvalidInputError(name, "name at least one point", "none")
     for point in named:
@@ -268,7 +268,9 @@ def _check_used(name: str, vertices: Ints, geometry: HasPoints) -> None:
         )
 
 
-def _named(sources: Any, geometry: HasPoints, name: str = "sources") -> list[int | FacePoint]:
+def named_sources(
+    sources: Any, geometry: HasPoints, name: str = "sources"
+) -> list[int | FacePoint]:
     """Return the sources one by one."""
     if isinstance(sources, Sources):
         if sources.offsets.any():

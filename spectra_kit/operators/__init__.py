@@ -7,6 +7,11 @@ from spectra_kit.operators.assemble import (
     laplacian,
     robust_laplacian,
 )
+from spectra_kit.operators.connection import (
+    TangentFrames,
+    connection_laplacian,
+    tangent_frames,
+)
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.operators.many import laplacian_many
@@ -23,8 +28,10 @@ __all__ = [
     "IntrinsicTriangulation",
     "Laplacian",
     "OrientedTriangles",
+    "TangentFrames",
     "TangentGradient",
     "area_form",
+    "connection_laplacian",
     "cotan_laplacian",
     "delaunay_laplacian",
     "intrinsic_delaunay",
@@ -35,5 +42,6 @@ __all__ = [
     "oriented_triangles",
     "robust_laplacian",
     "skew",
+    "tangent_frames",
     "tangent_gradient",
 ]

@@ -89,18 +89,12 @@ def tangent_gradient(
     doubled: Floats = np.cross(b - a, c - a)
     areas = np.linalg.norm(doubled, axis=1) / 2
     total = np.bincount(owners, areas, minlength=n)
-    if not (total > 0).all():
-        raise InvalidInputError(
-            "geometry",
-            "have a triangle of some area at every point",
-            f"none at point {int(np.argmin(total > 0))}",
-            advice="repair it (geometry.repair), or drop that point",
-        )
+    check_area_at_all(total)
     solid = areas > 0
     faces, owners, doubled, areas = faces[solid], owners[solid], doubled[solid], areas[solid]
     frames = _frames(owners, doubled / areas[:, None] ** 0.5, n)
     if oriented:
-        frames = _outward(frames, points, oriented_triangles(geometry, n_neighbors=n_neighbors))
+        frames = outward(frames, points, oriented_triangles(geometry, n_neighbors=n_neighbors))
     # The slope of the hat function of a corner, times the area, is half the side facing it, turned.
     normals = doubled / (2 * areas[:, None])
     rows, columns, slopes = [], [], []
@@ -118,6 +112,17 @@ def tangent_gradient(
     return TangentGradient(frames, x, y)
 
 
+def check_area_at_all(total: Floats | Ints) -> None:
+    """Refuse points (n,) around which triangles have no area in all: they have no plane."""
+    if not (total > 0).all():
+        raise InvalidInputError(
+            "geometry",
+            "have a triangle of some area at every point",
+            f"none at point {int(np.argmin(total > 0))}",
+            advice="repair it (geometry.repair), or drop that point",
+        )
+
+
 def _frames(owners: Ints, normals: Floats, n: int) -> Floats:
     """Return frames by the second moments of normals, given times the roots of their weights."""
     moments = np.stack(
@@ -133,7 +138,7 @@ def _frames(owners: Ints, normals: Floats, n: int) -> Floats:
     return np.stack([first, np.cross(normal, first), normal], axis=1)
 
 
-def _outward(frames: Floats, points: Floats, outer: OrientedTriangles) -> Floats:
+def outward(frames: Floats, points: Floats, outer: OrientedTriangles) -> Floats:
     """Return frames whose normals are on the side of the triangles at their points."""
     a, b, c = (points[outer.faces[:, i]] for i in range(3))
     across, corners = np.cross(b - a, c - a), outer.faces.ravel()

@@ -67,7 +67,7 @@ def voronoi_slopes(lengths: Floats, weights: Floats) -> Floats:
     is obtuse, it has a half of the triangle, and the others a quarter each (Meyer et al., *Discrete
     Differential-Geometry Operators for Triangulated 2-Manifolds*, 2003).
     """
-    cotangents, squared = _cotangents(lengths), lengths**2
+    cotangents, squared = opposite_cotangents(lengths), lengths**2
     # Along side c, either corner has a triangle of height l cot / 2 over half of it.
     along = (weights + np.roll(weights, -1, axis=1)) / 8
     acute = _weighted_cotangent_slopes(lengths, along * squared) + 2 * lengths * along * cotangents
@@ -78,7 +78,7 @@ def voronoi_slopes(lengths: Floats, weights: Floats) -> Floats:
     return np.where(large.any(axis=1, keepdims=True), obtuse, acute)
 
 
-def _cotangents(lengths: Floats) -> Floats:
+def opposite_cotangents(lengths: Floats) -> Floats:
     """Cotangent of the angle opposite each side."""
     squared = lengths**2
     return np.asarray(
@@ -88,7 +88,7 @@ def _cotangents(lengths: Floats) -> Floats:
 
 def _area_slopes(lengths: Floats, weights: Floats) -> Floats:
     """Derivative by each side of the area, times a weight of the triangle: dA / dl = l cot / 2."""
-    return np.asarray(weights[:, None] * lengths * _cotangents(lengths) / 2)
+    return np.asarray(weights[:, None] * lengths * opposite_cotangents(lengths) / 2)
 
 
 def _weighted_cotangent_slopes(lengths: Floats, weights: Floats) -> Floats:
@@ -97,7 +97,7 @@ def _weighted_cotangent_slopes(lengths: Floats, weights: Floats) -> Floats:
     With s the squares of the sides, ``4 A d cot_c / d s_j = 1 - cot_c cot_j``, and
     ``-1 - cot_c^2`` for j = c.
     """
-    cotangents = _cotangents(lengths)
+    cotangents = opposite_cotangents(lengths)
     energy = (weights * cotangents).sum(axis=1, keepdims=True)
     total = weights.sum(axis=1, keepdims=True)
     by_square = (total - 2 * weights - cotangents * energy) / (4 * areas(lengths)[:, None])

@@ -116,6 +116,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     n, same, identity = spectrum.n, np.arange(spectrum.n), np.eye(20)
     oriented = operators.oriented_triangles(mesh)
     slopes = operators.tangent_gradient(mesh)
+    frames = operators.tangent_frames(mesh)
     triangulation = sk.intrinsic_delaunay(mesh)
     prepared = sk.prepare(spectrum, mesh)
     heat_geodesics = sk.HeatGeodesics(mesh)
@@ -197,7 +198,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         *(datasets.DaskEngine(scheduler="tcp://127.0.0.1:8786"), datasets.Matching()),
         *(dataset, recipe, classifier, segmenter, index, thumbnail, learn.Training(epochs=1)),
         *(show.View(), sk.RayleighRitz(), sk.Automatic(), given, map_errors),
-        geodesics.WithinMemory(),
+        *(geodesics.WithinMemory(), frames, geodesics.VectorHeat(mesh)),
         *(metrics.compare_spectra(spectrum, spectrum), geometry.repair(mesh)),
         *(sk.eigen.ModeCount(verified=3, radius=0.1, floor=2.0), maps.Truth(same, same)),
         *(geometry.sample_with_origin(mesh, 50, seed=0), geometry.Normalization.unit_box(mesh)),
@@ -218,6 +219,11 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("mass target_mass", spectrum.mass),
         ("inside", np.ones(n, dtype=bool)),
         ("vectors", np.ones((len(triangulation.corners), 2))),
+        ("TangentFrames.coordinates.vectors", np.ones((n, 3))),
+        ("VectorHeat.transport.vectors transport_vectors.vectors", np.ones((2, 3))),
+        ("VectorHeat.extend.values", np.ones(2)),
+        ("TangentFrames.vectors.coordinates", np.ones(2 * n)),
+        ("curves", [0, 1, 2]),
         ("dirichlet_energy.source dirichlet_energy.target", laplacian),
         ("laplacians", [laplacian]),
         ("geometries shapes", [mesh]),

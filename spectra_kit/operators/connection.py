@@ -1,0 +1,252 @@
+"""Tangent vector fields: planes at the points, how edges carry vectors, and their Laplacian."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import sparse
+
+from spectra_kit._core.checked import checked
+from spectra_kit._core.clock import Clock
+from spectra_kit._core.records import Rebuilt, frozen
+from spectra_kit._core.types import Bools, Floats, Ints
+from spectra_kit._core.validate import real_array
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.geometry.winding import sides_of, turn, wound_against
+from spectra_kit.operators.checks import check_cloud_usable, check_faces_usable, unit_of
+from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
+from spectra_kit.operators.laplacian import Laplacian
+from spectra_kit.operators.local_delaunay import local_triangles
+from spectra_kit.operators.tangent import check_area_at_all
+
+_FLAT = 1e-8  # sine of a corner below which its triangle has no normal
+_CANCEL = 1e-6  # share of a sum of normals that is left where sheets lie back to back
+# Cosine between normals of neighbours below which their sides disagree. Those of a regular
+# tetrahedron, the coarsest of closed surfaces, have -1/3; across a seam of sides it is near -1.
+_SEAM = -0.5
+
+
+@checked
+@dataclass(frozen=True, eq=False)
+class TangentFrames(Rebuilt):
+    """Axes of the tangent planes at n points, in which `connection_laplacian` has its unknowns.
+
+    Parameters
+    ----------
+    axes : array_like of shape (n, 3, 3)
+        Rows are two axes and the normal of each point: orthonormal and right-handed.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> from spectra_kit.operators import connection_laplacian, tangent_frames
+    >>> ball = sk.geometry.sphere(subdivisions=2).geometry
+    >>> mode = sk.eigensolve(connection_laplacian(ball), 1).eigenvectors[:, 0]
+    >>> tangent_frames(ball).vectors(mode).shape
+    (162, 3)
+    """
+
+    axes: Floats
+
+    def __post_init__(self) -> None:
+        axes = real_array("axes", self.axes)
+        if axes.ndim != 3 or axes.shape[1:] != (3, 3):
+            raise InvalidInputError("axes", "have shape (n, 3, 3)", axes.shape)
+        object.__setattr__(self, "axes", frozen(axes.copy()))
+
+    def vectors(self, coordinates: ArrayLike) -> Floats:
+        """Return vectors in space (n, 3), in the unit of their coordinates, (2n,) or (n, 2)."""
+        given, n = real_array("coordinates", coordinates), len(self.axes)
+        if given.shape not in ((2 * n,), (n, 2)):
+            expected = f"have shape ({2 * n},) or ({n}, 2)"
+            raise InvalidInputError("coordinates", expected, given.shape)
+        return np.asarray(np.einsum("nr,nra->na", given.reshape(-1, 2), self.axes[:, :2]))
+
+    def coordinates(self, vectors: ArrayLike) -> Floats:
+        """Return the coordinates (2n,) of vectors in space (n, 3), normal parts left out."""
+        given, n = real_array("vectors", vectors), len(self.axes)
+        if given.shape != (n, 3):
+            raise InvalidInputError("vectors", f"have shape ({n}, 3)", given.shape)
+        return np.asarray(np.einsum("na,nra->nr", given, self.axes[:, :2]).ravel())
+
+
+@checked
+def tangent_frames(geometry: Geometry, *, n_neighbors: int = 30) -> TangentFrames:
+    """Return the tangent planes at the points of a surface.
+
+    Parameters
+    ----------
+    geometry : TriangleMesh or PointCloud
+        With n points.
+    n_neighbors : int, default 30
+        Of a cloud: candidates for the triangles of a point, as in `intrinsic_delaunay`.
+
+    Returns
+    -------
+    TangentFrames
+        Their axes depend on the normals alone, so that those of a flat sheet are parallel.
+
+    Notes
+    -----
+    The normal is the mean of those of the triangles by their angles at the point, windings made to
+    agree; on edges where they cannot, or where three faces meet, the main axis of their second
+    moments. Of a cloud, the triangles are those of the star of the point, and sides say nothing.
+
+    Examples
+    --------
+    >>> from spectra_kit.geometry import sphere
+    >>> from spectra_kit.operators import tangent_frames
+    >>> ball = sphere(subdivisions=3).geometry
+    >>> normals = tangent_frames(ball).axes[:, 2]
+    >>> bool(((normals * ball.points).sum(axis=1) > 0.999).all())
+    True
+    """
+    points, n = geometry.points / unit_of(geometry), geometry.n
+    doubtful, corners = np.zeros(n, dtype=bool), [0, 1, 2]
+    if isinstance(geometry, TriangleMesh):
+        check_faces_usable(geometry)
+        turned, clashes = wound_against(geometry)
+        faces = turn(geometry.faces, turned)
+        edges, counts = geometry.unique_edges
+        doubtful[edges[counts > 2]] = True
+        if clashes:
+            sides = sides_of(faces, n)
+            doubtful[sides.edges[sides.clash]] = True
+    else:
+        n_neighbors = check_cloud_usable(geometry, n_neighbors)
+        faces = local_triangles(points, n_neighbors)[0].astype(np.int64)
+        corners = [0]  # that of the point whose star has the triangle
+    owners = np.concatenate([faces[:, c] for c in corners])
+    weighted = np.concatenate([_corner_normals(points, np.roll(faces, -c, 1)) for c in corners])
+    angles = np.linalg.norm(weighted, axis=1)
+    total = np.bincount(owners, angles, minlength=n)
+    check_area_at_all(total)
+    normals: Floats = np.column_stack(
+        [np.bincount(owners, part, minlength=n) for part in weighted.T]
+    )
+    doubtful |= np.linalg.norm(normals, axis=1) < _CANCEL * total
+    if doubtful.any():
+        normals[doubtful] = _main_axes(owners, weighted, angles, doubtful)
+    return TangentFrames(_turned_to(unit_vectors(normals)))
+
+
+@checked
+def connection_laplacian(geometry: Geometry, *, n_neighbors: int = 30) -> Laplacian:
+    """Build the Laplacian of tangent vector fields, whose energy is how much they turn and change.
+
+    Parameters
+    ----------
+    geometry : TriangleMesh or PointCloud
+        With n points; anything that `intrinsic_delaunay` takes.
+    n_neighbors : int, default 30
+        Of a cloud, as there.
+
+    Returns
+    -------
+    Laplacian
+        On 2n unknowns, the coordinates in `tangent_frames`: both of the first point, then of the
+        next. Each point is there twice, with its mass. Where a surface has two sides, modes come in
+        pairs, turned by a right angle. All exact solvers and certificates serve.
+
+    Notes
+    -----
+    ``sum_ij w_ij |v_i - R_ij v_j|^2 / 2`` with the weights of the intrinsic Delaunay Laplacian,
+    which are not negative, so that the energy is not either. R_ij is the smallest rotation of space
+    that takes one tangent plane to the other (Singer and Wu, *Vector Diffusion Maps and the
+    Connection Laplacian*, Communications on Pure and Applied Mathematics 65, 2012), sides of
+    normals kept where windings agree: at a fold as sharp as may be, vectors turn with the surface.
+    Where sides disagree, as on a Möbius strip or between points of a cloud, the block is a
+    reflection, so that neither an orientation nor a manifold is asked for. A flipped edge needs no
+    more than the planes at its ends.
+
+    Examples
+    --------
+    The eigenvalues ``l (l + 1) - 1`` of the unit sphere, each ``4 l + 2`` times:
+
+    >>> import spectra_kit as sk
+    >>> from spectra_kit.operators import connection_laplacian
+    >>> ball = sk.geometry.sphere(subdivisions=3).geometry
+    >>> sk.eigensolve(connection_laplacian(ball), 8).eigenvalues.round(1)
+    array([1., 1., 1., 1., 1., 1., 5., 5.])
+    """
+    clock = Clock()
+    frames = tangent_frames(geometry, n_neighbors=n_neighbors)
+    triangulation = intrinsic_delaunay(geometry, n_neighbors=n_neighbors)
+    return laplacian_along(triangulation, frames, geometry, clock)
+
+
+def laplacian_along(
+    triangulation: IntrinsicTriangulation, frames: TangentFrames, geometry: Geometry, clock: Clock
+) -> Laplacian:
+    """Return the connection Laplacian on a triangulation, whose making began with the clock."""
+    plain = triangulation.laplacian
+    upper = sparse.coo_array(sparse.triu(plain.stiffness, 1))
+    i, j = upper.row.astype(np.int64), upper.col.astype(np.int64)
+    seam = _SEAM if isinstance(geometry, TriangleMesh) else 0.0
+    blocks = upper.data[:, None, None] * _carried(frames.axes, i, j, seam)
+    rows = np.broadcast_to((2 * i[:, None] + [0, 1])[:, :, None], blocks.shape)
+    columns = np.broadcast_to((2 * j[:, None] + [0, 1])[:, None, :], blocks.shape)
+    size = (2 * plain.n, 2 * plain.n)
+    half = sparse.csr_array((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=size)
+    return Laplacian(
+        half + half.T + sparse.diags_array(np.repeat(plain.stiffness.diagonal(), 2)),
+        np.repeat(plain.mass, 2),
+        np.repeat(plain.points, 2, axis=0),
+        operator=plain.operator.replace("delaunay_laplacian", "connection_laplacian"),
+        seconds=clock.total,
+    )
+
+
+def unit_vectors(vectors: Floats) -> Floats:
+    """Return vectors (…, d) of length 1; zero where they are."""
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0))
+
+
+def _carried(axes: Floats, i: Ints, j: Ints, seam: float) -> Floats:
+    """Return the orthogonal 2x2 blocks (e, 2, 2) that take vectors at j to i.
+
+    Of the cosines between axes, that is the nearest rotation, or the nearest reflection where
+    normals are on other sides: where their cosine is below `seam`.
+    """
+    cosines = np.einsum("era,esa->ers", axes[i], axes[j])
+    side = np.where(cosines[:, 2, 2] < seam, -1.0, 1.0)
+    along = cosines[:, 0, 0] + side * cosines[:, 1, 1]
+    across = cosines[:, 1, 0] - side * cosines[:, 0, 1]
+    size = np.hypot(along, across)
+    along = np.where(size > 0, along, 1.0)  # opposite normals are carried by any half turn
+    cos, sin = np.array([along, across]) / np.where(size > 0, size, 1.0)
+    return np.stack([cos, -side * sin, sin, side * cos], axis=1).reshape(-1, 2, 2)
+
+
+def _corner_normals(points: Floats, faces: Ints) -> Floats:
+    """Return normals of triangles times their angle at the first corner, (f, 3)."""
+    a, b, c = (points[corner] for corner in faces.T)
+    one, two = unit_vectors(b - a), unit_vectors(c - a)
+    across: Floats = np.cross(one, two)
+    sines = np.linalg.norm(across, axis=1)
+    angles = np.arctan2(sines, np.einsum("fr,fr->f", one, two))
+    angles = np.divide(angles, sines, out=np.zeros_like(sines), where=sines > _FLAT)
+    return np.asarray(across * angles[:, None])
+
+
+def _main_axes(owners: Ints, weighted: Floats, angles: Floats, some: Bools) -> Floats:
+    """Return the main axes of the second moments of normals at `some` points."""
+    here = some[owners] & (angles > 0)
+    vectors, moments = weighted[here], np.zeros((len(some), 3, 3))
+    outer = vectors[:, :, None] * vectors[:, None, :] / angles[here, None, None]
+    np.add.at(moments, owners[here], outer)
+    return np.asarray(np.linalg.eigh(moments[some])[1][:, :, 2])
+
+
+def _turned_to(normals: Floats) -> Floats:
+    """Return a frame for each normal (n, 3), by the formula of Duff et al., JCGT 6, 2017."""
+    x, y, z = normals.T
+    side = np.copysign(1.0, z)
+    a = -1 / (side + z)
+    first = np.stack([1 + side * x * x * a, side * x * y * a, -side * x], axis=1)
+    second = np.stack([x * y * a, side + y * y * a, -y], axis=1)
+    return np.stack([first, second, normals], axis=1)
