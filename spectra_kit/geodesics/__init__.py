@@ -1,4 +1,4 @@
-"""Geodesic distances, exact and by heat, and with a sign; paths; vectors carried along a surface."""
+"""Geodesic distances, exact, by heat, with a sign; paths; vectors carried along a surface."""
 
 from spectra_kit.geodesics.distance import geodesic_distance
 from spectra_kit.geodesics.edges import edge_graph, pair_distances

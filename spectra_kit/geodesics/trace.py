@@ -11,14 +11,15 @@ from numpy.typing import ArrayLike
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import check_positive, real_array
+from spectra_kit._core.validate import check_count, check_positive, real_array
 from spectra_kit._core.warn import warn
 from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.exact import propagated, soup_of
 from spectra_kit.geodesics.paths import SurfacePath, path_of, surface_of, walk_of
 from spectra_kit.geodesics.sources import FacePoint, points_named
 from spectra_kit.geodesics.splits import split_at
-from spectra_kit.geometry import TriangleMesh
+from spectra_kit.geodesics.vectors import VectorHeat
+from spectra_kit.geometry import Geometry, TriangleMesh
 
 if TYPE_CHECKING:
     from spectra_kit.geodesics._exact_kernels import Soup
@@ -54,13 +55,13 @@ class Fan(NamedTuple):
 @checked
 @dataclass(frozen=True, eq=False)
 class LogarithmicMap(Rebuilt):
-    """Where points of a mesh lie, seen from one of them: direction and distance.
+    """Where points of a surface lie, seen from one of them: direction and distance.
 
     Attributes
     ----------
     coordinates : ndarray of shape (n, 2)
-        Of each vertex in the tangent plane of the source: its norm is the exact distance. NaN
-        where no path leads.
+        Of each point in the tangent plane of the source: its norm is the distance. NaN where no
+        path leads.
     axes : ndarray of shape (2, 3)
         The axes of that plane, of unit length: ``coordinates @ axes`` are vectors in space, which
         `trace_geodesic` takes.
@@ -167,22 +168,23 @@ def trace_geodesic(
 
 
 @checked
-def logarithmic_map(mesh: TriangleMesh, source: int | FacePoint) -> LogarithmicMap:
-    """Return direction and distance of all vertices, seen from one point: inverse of tracing.
+def logarithmic_map(geometry: Geometry, source: int | FacePoint) -> LogarithmicMap:
+    """Return direction and distance of all points, seen from one: inverse of tracing.
 
     Parameters
     ----------
-    mesh : TriangleMesh
-        With n vertices.
+    geometry : TriangleMesh or PointCloud
+        With n points.
     source : int or FacePoint
-        Where they are seen from, with one fan of faces around.
+        Where they are seen from; on a mesh, with one fan of faces around.
 
     Returns
     -------
     LogarithmicMap
-        Coordinates (n, 2), exact: of the shortest paths. They jump where two of these are as
-        short; beyond vertices with more than a full turn of angles, and beyond holes, all that is
-        behind lies in one direction.
+        Coordinates (n, 2). Those of a mesh are exact, of the shortest paths: they jump where two
+        of these are as short; beyond vertices with more than a full turn of angles, and beyond
+        holes, all that is behind lies in one direction. Those of a cloud are by heat, as is
+        `VectorHeat.logarithm`, which large meshes may take too.
 
     Warns
     -----
@@ -201,6 +203,14 @@ def logarithmic_map(mesh: TriangleMesh, source: int | FacePoint) -> LogarithmicM
     """
     from spectra_kit.geodesics._walk_kernels import NO_ROOM, last_segments
 
+    if not isinstance(geometry, TriangleMesh):
+        if isinstance(source, FacePoint):
+            raise InvalidInputError("source", "be a point of the cloud, which has no faces", source)
+        point = check_count("source", source, low=0, high=geometry.n - 1)
+        heat = VectorHeat(geometry)
+        vectors, axes = heat.logarithm(point), heat.frames.axes[point, :2]
+        return LogarithmicMap(vectors @ axes.T, axes)
+    mesh = geometry
     split = split_at(mesh, points_named("source", source, mesh))
     v, n = split.vertices[0], split.mesh.n
     known = propagated(split.mesh, np.array([v]), np.arange(n))
