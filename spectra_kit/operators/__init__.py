@@ -1,5 +1,6 @@
 """From a geometry to a discrete Laplacian: ``L u = lambda M u``, L positive semi-definite."""
 
+from spectra_kit.operators.anisotropic import anisotropic_laplacian, tensor_laplacian
 from spectra_kit.operators.assemble import (
     cotan_laplacian,
     delaunay_laplacian,
@@ -7,6 +8,7 @@ from spectra_kit.operators.assemble import (
     laplacian,
     robust_laplacian,
 )
+from spectra_kit.operators.curvature import Curvature, curvature
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.operators.many import laplacian_many
@@ -17,15 +19,19 @@ from spectra_kit.operators.oriented import (
     oriented_triangles,
     skew,
 )
+from spectra_kit.operators.smoothing import smooth
 from spectra_kit.operators.tangent import TangentGradient, tangent_gradient
 
 __all__ = [
+    "Curvature",
     "IntrinsicTriangulation",
     "Laplacian",
     "OrientedTriangles",
     "TangentGradient",
+    "anisotropic_laplacian",
     "area_form",
     "cotan_laplacian",
+    "curvature",
     "delaunay_laplacian",
     "intrinsic_delaunay",
     "knn_laplacian",
@@ -35,5 +41,7 @@ __all__ = [
     "oriented_triangles",
     "robust_laplacian",
     "skew",
+    "smooth",
     "tangent_gradient",
+    "tensor_laplacian",
 ]

@@ -178,7 +178,16 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     )
     instances = (  # whose methods are called, or which are arguments of their kind
         *(mesh, mesh.as_cloud(), laplacian, spectrum, spectrum.provenance, spectrum.certificate),
-        *(oriented, triangulation, prepared, heat_geodesics, field, field.poisson, field.heat),
+        *(
+            operators.curvature(mesh),
+            oriented,
+            triangulation,
+            prepared,
+            heat_geodesics,
+            field,
+            field.poisson,
+            field.heat,
+        ),
         *(field.sources, config, network, neo.NeoSubspace(network), candidate, panel, pair, run),
         *(plan, spectra, inputs[0], report, done, done.record, pair_of_names, of_map),
         *(datasets.DaskEngine(scheduler="tcp://127.0.0.1:8786"), datasets.Matching()),
@@ -205,6 +214,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("mass target_mass", spectrum.mass),
         ("inside", np.ones(n, dtype=bool)),
         ("vectors", np.ones((len(triangulation.corners), 2))),
+        ("tensors", np.tile(np.eye(3), (len(mesh.faces), 1, 1))),
         ("dirichlet_energy.source dirichlet_energy.target", laplacian),
         ("laplacians", [laplacian]),
         ("geometries shapes", [mesh]),
