@@ -24,6 +24,7 @@ from spectra_kit.operators.oriented import oriented_triangles
 Kind = TypeVar("Kind", TriangleMesh, PointCloud)
 
 _FLAT = 1e-9  # volume over area^(3/2), below which a closed part encloses nothing
+_NEWTON, _ROUNDING = 30, 1e-12  # steps to the volume that was there; relative error
 
 
 @checked
@@ -57,9 +58,9 @@ def smooth(
     boundary : {"held", "free"}, default "held"
         Whether points on the boundary stay, too. A free one shrinks.
     volume : {"kept", "free"}, default "kept"
-        Whether closed parts of a mesh are scaled back to the volume that they enclose, after each
-        step, about the centre of their area, which the flow does not move. Parts with `fixed`
-        points are not scaled; nor are clouds.
+        Whether, after each step, the points of closed parts of a mesh move out along their normals,
+        all by the same way, until the part encloses the volume that it had. (Points on a closed
+        part that are `fixed` do not.) Clouds enclose none.
 
     Returns
     -------
@@ -74,6 +75,12 @@ def smooth(
     See Also
     --------
     spectra_kit.eigen.low_pass : The same by the lowest modes alone.
+
+    Notes
+    -----
+    With volumes kept it is the flow of Huisken, *The Volume Preserving Mean Curvature Flow*, J.
+    reine angew. Math. 1987, by the mean curvature less its mean. Scaling a part back, as Desbrun et
+    al. do, would lengthen a thin rod as much as it was thinned.
 
     Examples
     --------
@@ -104,14 +111,14 @@ def smooth(
         held[rim] = True
     parts = None
     if volume == "kept" and isinstance(geometry, TriangleMesh):
-        parts = _closed_parts(geometry, laplacian.mass, held)
+        parts = _closed_parts(geometry, held)
     for done in range(steps):
         if done:
             with hearing():  # what there is to tell of the surface was told at the first step
                 laplacian = intrinsic_delaunay(geometry).laplacian
         points = _stepped(laplacian, held, step, unit)
         if parts is not None:
-            points = parts.restored(points, laplacian)
+            points = parts.restored(points)
         geometry = geometry.with_points(points)
     return geometry
 
@@ -144,46 +151,55 @@ class _ClosedParts(NamedTuple):
 
     faces: Ints  # (f, 3), seen from outside
     part: Ints  # (n,), of each vertex
+    free: Floats  # (n, 1), 1 or 0
     units: Floats  # (n, 1)
     volumes: Floats  # of each part, 0 where it encloses nothing
 
-    def now(self, points: Floats) -> Floats:
-        """Return the volume of each part, from points relative to its centre."""
-        a, b, c = np.moveaxis((points / self.units)[self.faces], 1, 0)
-        sixfold = np.einsum("fr,fr->f", a, np.cross(b, c))
-        volumes = np.bincount(self.part[self.faces[:, 0]], sixfold, self.part.max() + 1) / 6
-        return volumes.astype(np.float64)
+    def measured(self, points: Floats) -> tuple[Floats, Floats]:
+        """Return the volume of each part, and its gradient by the points (n, 3)."""
+        part, n = self.part, len(points)
+        sizes = np.bincount(part)
+        middles = np.column_stack([np.bincount(part, x) / sizes for x in points.T])
+        x = (points - middles[part]) / self.units
+        a, b, c = np.moveaxis(x[self.faces], 1, 0)
+        shares = np.repeat(np.cross(b - a, c - a) / 6, 3, axis=0).T
+        slopes = np.column_stack([np.bincount(self.faces.ravel(), s, n) for s in shares])
+        volumes = np.bincount(part, np.einsum("nr,nr->n", x, slopes)) / 3
+        return volumes.astype(np.float64), slopes
 
-    def restored(self, points: Floats, laplacian: Laplacian) -> Floats:
-        """Return points with parts scaled to their volumes; masses tell the centre of each."""
-        centres = _centres(points, laplacian.mass, self.part)
-        volumes, kept = self.now(points - centres), self.volumes > 0
-        if not (volumes[kept] > 0).all():
-            raise _too_long()
-        factors = np.cbrt(np.divide(self.volumes, volumes, out=np.ones(len(kept)), where=kept))
-        return centres + factors[self.part, None] * (points - centres)
+    def restored(self, points: Floats) -> Floats:
+        """Return points moved out along their normals, in each part as far as its volume asks."""
+        volumes, slopes = self.measured(points)
+        lengths = np.linalg.norm(slopes, axis=1, keepdims=True)
+        normals = self.free * np.divide(slopes, lengths, np.zeros_like(slopes), where=lengths > 0)
+        way, kept = np.zeros(len(volumes)), self.volumes > 0
+        for _ in range(_NEWTON):
+            lost = np.where(kept, self.volumes - volumes, 0.0)
+            if (np.abs(lost) <= _ROUNDING * self.volumes).all():
+                return points + way[self.part, None] * self.units * normals
+            rate = np.bincount(self.part, np.einsum("nr,nr->n", normals, slopes))
+            if not (rate[lost != 0] > 0).all():
+                break
+            way += np.divide(lost, rate, np.zeros_like(way), where=lost != 0)
+            moved = points + way[self.part, None] * self.units * normals
+            volumes, slopes = self.measured(moved)
+        raise _too_long()
 
 
-def _centres(points: Floats, mass: Floats, part: Ints) -> Floats:
-    """Return the centre of the area of each point's part, (n, 3)."""
-    total = np.bincount(part, mass)
-    return np.column_stack([np.bincount(part, mass * x) / total for x in points.T])[part]
-
-
-def _closed_parts(mesh: TriangleMesh, mass: Floats, held: Bools) -> _ClosedParts | None:
-    """Return the parts without a boundary or a held point; None if there are none."""
+def _closed_parts(mesh: TriangleMesh, held: Bools) -> _ClosedParts | None:
+    """Return the parts without a boundary and of two sides; None if there are none."""
     part = mesh.component_labels
     opened = np.zeros(part.max() + 1, dtype=bool)
     edges, counts = mesh.unique_edges
     opened[part[edges[counts % 2 == 1, 0]]] = True
-    opened[part[held]] = True
     if opened.all():
         return None
     faces = oriented_triangles(mesh).faces
     sides = sides_of(faces, mesh.n)
     opened[part[sides.edges[sides.surplus != 0, 0]]] = True  # of one side, as a Klein bottle
     faces = faces[~opened[part[faces[:, 0]]]]
-    bare = _ClosedParts(faces, part, units_of(mesh)[:, None], np.zeros(len(opened)))
-    volumes = bare.now(mesh.points - _centres(mesh.points, mass, part))
-    areas = np.bincount(part, mass / bare.units[:, 0] ** 2)
-    return bare._replace(volumes=np.where(~opened & (volumes > _FLAT * areas**1.5), volumes, 0.0))
+    units = units_of(mesh)[:, None]
+    bare = _ClosedParts(faces, part, 1.0 - held[:, None], units, np.zeros(len(opened)))
+    volumes, slopes = bare.measured(mesh.points)
+    areas = np.bincount(part, np.linalg.norm(slopes, axis=1))  # the slopes are a third of them
+    return bare._replace(volumes=np.where(volumes > _FLAT * areas**1.5, volumes, 0.0))

@@ -8,9 +8,14 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from spectra_kit._core.threads import single_threaded
-from spectra_kit.errors import DoubtfulCurvatureWarning, DoubtfulMatchWarning
+from spectra_kit.errors import (
+    DoubtfulCurvatureWarning,
+    DoubtfulMatchWarning,
+    InvalidInputError,
+)
 from spectra_kit.geometry import PointCloud, TriangleMesh, permuted, rectangle, sphere
 from spectra_kit.operators import Curvature, curvature, robust_laplacian
+from spectra_kit.operators._curvature_kernels import _bend
 
 
 def scattered(n, width, height):
@@ -261,7 +266,7 @@ def test_libigls_curvature_of_three_rings():
 
 def test_points_where_it_is_not_known_are_told():
     sheet = rectangle(n=441, height=1.0).geometry
-    wall = sheet.points[:, [0, 2, 1]] + [0, 0.5, 0]
+    wall = sheet.points @ [[1, 0, 0], [0, 1, 1], [0, 0, 0]] + [0, 0.5, 0]  # at half a right angle
     middle = np.isclose(sheet.points[:, 1], 0.5)
     line = np.flatnonzero(middle)
     assert len(line)
@@ -284,6 +289,31 @@ def test_points_where_it_is_not_known_are_told():
         found = curvature(TriangleMesh(two.points, label[two.faces]).without_unreferenced())
     assert np.isnan(found.mean[0])
     np.testing.assert_allclose(found.mean[1:], 1, atol=0.1)
+
+
+def test_at_the_tip_of_a_needle_no_plane_is_tangent():
+    angle = 2 * np.pi * np.arange(12) / 12
+    ring = np.column_stack([np.cos(angle), np.sin(angle), np.full(12, -20.0)])
+    fan = np.column_stack([np.full(12, 12), np.arange(12), (np.arange(12) + 1) % 12])
+    needle = TriangleMesh(np.vstack([ring, np.zeros((1, 3))]), fan)
+    with pytest.raises(InvalidInputError, match="1 at which the normals of faces cancel"):
+        curvature(needle)
+
+
+def test_a_steep_quadric_bends_as_its_fundamental_forms_tell():
+    b, scale = np.array([0.3, 1.2, -0.7, 0.5, 0.3, -0.4]), 0.1
+    principal, directions, normal = np.empty(2), np.empty((2, 3)), np.empty(3)
+    _bend(b, scale, *np.eye(3), principal, directions, normal)
+    slope, second = b[1:3], b[[3, 4, 4, 5]].reshape(2, 2) / scale
+    first = np.eye(2) + np.outer(slope, slope)
+    length = np.sqrt(1 + slope @ slope)
+    true = np.linalg.eigvals(np.linalg.solve(first, -second / length))
+    np.testing.assert_allclose(principal, np.sort(true)[::-1], rtol=1e-12)
+    np.testing.assert_allclose(normal, np.append(-slope, 1) / length, rtol=1e-12)
+    # A direction is a step (x, y) in the plane, of which the surface makes its height.
+    np.testing.assert_allclose(directions[:, 2], directions[:, :2] @ slope, rtol=1e-12)
+    for k, x in zip(principal, directions[:, :2], strict=True):
+        np.testing.assert_allclose(-second @ x / length, k * first @ x, rtol=1e-10)
 
 
 def test_a_one_sided_strip_has_it_up_to_its_sign():

@@ -68,7 +68,7 @@ def test_a_plane_stays_where_it_is(cloud):
         np.testing.assert_allclose(found.points, points, atol=1e-12)
 
 
-@pytest.mark.parametrize("time", [1e-3, 0.1, 10.0])
+@pytest.mark.parametrize("time", [1e-3, 0.1, 0.5])
 def test_volumes_of_closed_parts_are_kept(time):
     both = joined(bumpy(), moved(torus(n=500).geometry, 9, 0, 0, scale=0.1))
     inside_out = TriangleMesh(both.points, both.faces[:, ::-1])
@@ -80,10 +80,19 @@ def test_volumes_of_closed_parts_are_kept(time):
     assert volume(free) < volume(both) * (1 - 1e-4)
 
 
+def test_a_thin_rod_is_not_lengthened():
+    """All its radius is less than a ripple that fades: it thins, and is widened again."""
+    ball = sphere(subdivisions=3).geometry
+    rod = ball.with_points(ball.points * [1.0, 0.02, 0.02])
+    found = smooth(rod)
+    assert volume(found) == pytest.approx(volume(rod), rel=1e-10)
+    assert np.ptp(found.points[:, 0]) < 2
+
+
 def test_the_centre_of_the_area_stays():
     mesh = bumpy()
     mass = delaunay_laplacian(mesh).mass
-    found = smooth(mesh, time=0.2)
+    found = smooth(mesh, time=0.2, volume="free")
     np.testing.assert_allclose(mass @ found.points, mass @ mesh.points, atol=1e-10)
 
 
@@ -105,6 +114,7 @@ def test_fixed_points_and_boundaries_stay():
     np.testing.assert_array_equal(found.points[fixed], mesh.points[fixed])
     mask = np.isin(np.arange(mesh.n), fixed)
     np.testing.assert_array_equal(smooth(mesh, fixed=mask, steps=2).points, found.points)
+    assert volume(found) == pytest.approx(volume(mesh), rel=1e-10)
     sheet = rectangle(n=300).geometry
     bent = sheet.with_points(sheet.points + np.outer(np.sin(5 * sheet.points[:, 0]), [0, 0, 0.3]))
     rim = bent.boundary_vertices
