@@ -156,9 +156,9 @@ def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> Oriented
     piece, closed = pieces(sides)
     unit = units_of(mesh)
     each = _signed_volumes(mesh.points / unit[:, None], faces, piece)
-    volumes: Floats = np.bincount(piece, each).astype(np.float64)
-    areas: Floats = np.bincount(piece, mesh.face_areas / unit[faces[:, 0]] ** 2).astype(np.float64)
-    faces = turn(faces, is_inside_out(volumes, areas, closed)[piece])
+    volumes = np.bincount(piece, each).astype(np.float64)
+    sizes = np.bincount(piece, mesh.face_areas / unit[faces[:, 0]] ** 2).astype(np.float64)
+    faces = turn(faces, is_inside_out(volumes, sizes, closed)[piece])
     if against.any() or consistent < 1:
         _warn_of_winding(against, sides)
     return OrientedTriangles(faces, np.ones(len(faces)), mesh.face_areas, mesh.n, consistent)
