@@ -237,6 +237,10 @@ class DoubtfulDistanceWarning(SpectraKitWarning):
     """Geodesic distances are blurred, or cannot be told from the heat that they are read from."""
 
 
+class DoubtfulCurvatureWarning(SpectraKitWarning):
+    """Curvature is not known at some points, and NaN there; or its sign is in doubt."""
+
+
 class DoubtfulMatchWarning(SpectraKitWarning):
     """A map between two surfaces is no better than one between shapes that do not correspond.
 

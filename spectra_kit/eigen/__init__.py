@@ -11,6 +11,7 @@ from spectra_kit.eigen.certificate import Certificate, ModeCount, Provenance
 from spectra_kit.eigen.counting import verify
 from spectra_kit.eigen.dense import Dense
 from spectra_kit.eigen.lanczos import Arpack, Lanczos
+from spectra_kit.eigen.low_pass import low_pass
 from spectra_kit.eigen.neo import Neo
 from spectra_kit.eigen.rayleigh_ritz import RayleighRitz
 from spectra_kit.eigen.refined import Refined
@@ -35,6 +36,7 @@ __all__ = [
     "Spectrum",
     "eigensolve",
     "eigensolve_many",
+    "low_pass",
     "spectrum",
     "verify",
 ]

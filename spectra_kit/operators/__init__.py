@@ -1,5 +1,6 @@
 """From a geometry to a discrete Laplacian: ``L u = lambda M u``, L positive semi-definite."""
 
+from spectra_kit.operators.anisotropic import anisotropic_laplacian, tensor_laplacian
 from spectra_kit.operators.assemble import (
     cotan_laplacian,
     delaunay_laplacian,
@@ -12,6 +13,7 @@ from spectra_kit.operators.connection import (
     connection_laplacian,
     tangent_frames,
 )
+from spectra_kit.operators.curvature import Curvature, curvature
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.operators.many import laplacian_many
@@ -22,17 +24,21 @@ from spectra_kit.operators.oriented import (
     oriented_triangles,
     skew,
 )
+from spectra_kit.operators.smoothing import smooth
 from spectra_kit.operators.tangent import TangentGradient, tangent_gradient
 
 __all__ = [
+    "Curvature",
     "IntrinsicTriangulation",
     "Laplacian",
     "OrientedTriangles",
     "TangentFrames",
     "TangentGradient",
+    "anisotropic_laplacian",
     "area_form",
     "connection_laplacian",
     "cotan_laplacian",
+    "curvature",
     "delaunay_laplacian",
     "intrinsic_delaunay",
     "knn_laplacian",
@@ -42,6 +48,8 @@ __all__ = [
     "oriented_triangles",
     "robust_laplacian",
     "skew",
+    "smooth",
     "tangent_frames",
     "tangent_gradient",
+    "tensor_laplacian",
 ]

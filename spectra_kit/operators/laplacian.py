@@ -72,7 +72,7 @@ class Laplacian(Rebuilt):
         points = check_points("points", self.points)
         stiffness = _check_stiffness(self.stiffness, len(points))
         mass = check_mass("mass", lumped_diagonal(self.mass), len(points))
-        fixed = np.unique(_as_indices("fixed", self.fixed, len(points)))
+        fixed = np.unique(as_indices("fixed", self.fixed, len(points)))
         if len(fixed) == len(points):
             raise InvalidInputError(
                 "fixed", "leave at least one point free", f"all {len(points)} of them"
@@ -183,7 +183,7 @@ class Laplacian(Rebuilt):
 
         On all n points; `vertices` are indices, or a mask of shape (n,).
         """
-        indices = _as_indices("vertices", vertices, self.n)
+        indices = as_indices("vertices", vertices, self.n)
         return replace(self, fixed=np.union1d(self.fixed, indices))
 
     def restricted(self, indices: Ints) -> Laplacian:
@@ -214,7 +214,7 @@ class Laplacian(Rebuilt):
         )
 
 
-def _as_indices(name: str, values: ArrayLike, n: int) -> Ints:
+def as_indices(name: str, values: ArrayLike, n: int) -> Ints:
     """Return point indices, given as such or as a boolean mask of shape (n,)."""
     array = np.asarray(values)
     if array.dtype == bool and array.shape == (n,):

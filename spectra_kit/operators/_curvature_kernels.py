@@ -1,0 +1,281 @@
+"""Neighbours, tangent planes and fitted quadrics at the points of a triangulation; numba."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba.extending import register_jitable
+
+from spectra_kit._core.compiled import compiled
+from spectra_kit._core.types import Bools, Bytes, Floats, Ints32
+
+FEW, NO_PLANE, NO_SURFACE = 1, 2, 3  # why a point has no curvature
+# Cosine of the angle between normals beyond which neighbours are on another side of the shape.
+_TURNED = 0.2
+_NEIGHBOURS = 5  # and the point itself: six coefficients
+_GROWTHS, _GROWTH = 7, 1.5
+_SINGULAR = 1e-7  # of a column's square, what the columns before it leave of it
+
+
+@compiled()
+def faces_around(faces: Ints32, n: int) -> tuple[Ints32, Ints32]:
+    """Return the faces at each point: those of point v stand from ``starts[v]`` on, ascending."""
+    starts = np.zeros(n + 1, np.int32)
+    for f in range(len(faces)):
+        for c in range(3):
+            starts[faces[f, c] + 1] += 1
+    for v in range(n):
+        starts[v + 1] += starts[v]
+    place, around = starts.copy(), np.empty(3 * len(faces), np.int32)
+    for f in range(len(faces)):
+        for c in range(3):
+            v = faces[f, c]
+            around[place[v]] = f
+            place[v] += 1
+    return starts, around
+
+
+@compiled()
+def surroundings(
+    points: Floats,
+    faces: Ints32,
+    starts: Ints32,
+    around: Ints32,
+    rings: Ints32,
+    sizes: Ints32,
+    vectors: Floats,
+    areas: Floats,
+    spacings: Floats,
+    whole: Bools,
+    rim: Bools,
+    first: int,
+    last: int,
+) -> None:
+    """Write what surrounds the points from `first` to `last`.
+
+    To `rings` their neighbours, `sizes` of them from ``2 * starts[v]`` on, and to `spacings` the
+    geometric mean of their distances. To `vectors` and `areas` the sums of the area vectors of the
+    faces, twice as long as these are large, and of their lengths. And whether the points are
+    `whole`, in one fan of faces that are wound alike, and whether that is open: at the `rim`.
+    """
+    n = len(points)
+    leaves, enters = np.zeros(n, np.int32), np.zeros(n, np.int32)  # the last point asked, plus one
+    after = np.empty(n, np.int32)
+    a, b, c = np.empty(3), np.empty(3), np.empty(3)
+    for v in range(first, last):
+        size, begin, single = 0, -1, True
+        areas[v] = logarithms = 0.0
+        for r in range(3):
+            vectors[v, r] = 0.0
+        for place in range(starts[v], starts[v + 1]):
+            f = around[place]
+            corner = 0 if faces[f, 0] == v else 1 if faces[f, 1] == v else 2
+            p, q = faces[f, (corner + 1) % 3], faces[f, (corner + 2) % 3]
+            for w in (p, q):
+                if leaves[w] != v + 1 and enters[w] != v + 1:
+                    rings[2 * starts[v] + size] = w
+                    size += 1
+            single = single and leaves[p] != v + 1 and enters[q] != v + 1
+            leaves[p], enters[q], after[p] = v + 1, v + 1, q
+            for r in range(3):
+                a[r], b[r] = points[p, r] - points[v, r], points[q, r] - points[v, r]
+            _cross(a, b, c)
+            areas[v] += math.sqrt(c[0] ** 2 + c[1] ** 2 + c[2] ** 2)
+            for r in range(3):
+                vectors[v, r] += c[r]
+        apart, sizes[v] = 0, size
+        for place in range(2 * starts[v], 2 * starts[v] + size):
+            w = rings[place]
+            if enters[w] != v + 1:  # an open fan begins at the neighbour that no face comes to
+                begin = w
+            square = 0.0
+            for r in range(3):
+                square += (points[w, r] - points[v, r]) ** 2
+            if square > 0:
+                logarithms += math.log(square)
+                apart += 1
+        spacings[v] = math.exp(logarithms / max(2 * apart, 1))
+        rim[v] = begin >= 0
+        start = begin if begin >= 0 or size == 0 else rings[2 * starts[v]]
+        w, walked = start, 0
+        while w >= 0 and single and leaves[w] == v + 1 and (w != start or walked == 0):
+            w = after[w]
+            walked += 1
+        whole[v] = single and 0 < walked == starts[v + 1] - starts[v]
+
+
+@compiled()
+def fit_quadrics(
+    points: Floats,
+    normals: Floats,
+    starts: Ints32,
+    rings: Ints32,
+    sizes: Ints32,
+    passed: Bools,
+    growing: bool,
+    scales: Floats,
+    principal: Floats,
+    directions: Floats,
+    fitted: Floats,
+    failures: Bytes,
+    first: int,
+    last: int,
+) -> None:
+    """Write curvatures, directions and normals of quadrics at the points from `first` to `last`.
+
+    The neighbours are those that a walk along the `rings` comes to, within ``scales[i]`` of point
+    i, through points that may be `passed`, and on its side of the shape. If these scales may be
+    `growing`, they do where neighbours are too few. Points that have failed before are left out.
+    """
+    n = len(points)
+    seen, queue, mark = np.zeros(n, np.int32), np.empty(n, np.int32), 0
+    u, v = np.empty(3), np.empty(3)
+    A, b = np.empty((6, 6)), np.empty(6)
+    for i in range(first, last):
+        if failures[i]:
+            continue
+        normal = normals[i]
+        _frame(normal, u, v)
+        for growth in range(_GROWTHS if growing else 1):
+            scale = scales[i] * _GROWTH**growth
+            inverse = 1 / scale
+            mark += 1
+            seen[i], queue[0], size, head = mark, i, 1, 0
+            # Moments of x and y, and with the height z, of all that the walk has come to.
+            m00, m10, m01, m20, m11, m02, m30, m21 = 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            m12 = m03 = m40 = m31 = m22 = m13 = m04 = 0.0
+            h00 = h10 = h01 = h20 = h11 = h02 = 0.0
+            while head < size:
+                w = queue[head]
+                head += 1
+                if w != i and not passed[w]:
+                    continue
+                for place in range(2 * starts[w], 2 * starts[w] + sizes[w]):
+                    other = rings[place]
+                    if seen[other] == mark:
+                        continue
+                    seen[other] = mark
+                    dx = (points[other, 0] - points[i, 0]) * inverse
+                    dy = (points[other, 1] - points[i, 1]) * inverse
+                    dz = (points[other, 2] - points[i, 2]) * inverse
+                    square = dx * dx + dy * dy + dz * dz
+                    if square >= 1:
+                        continue
+                    across = 0.0
+                    for r in range(3):
+                        across += normals[other, r] * normal[r]
+                    if across <= _TURNED and passed[other]:
+                        continue
+                    queue[size] = other
+                    size += 1
+                    x = dx * u[0] + dy * u[1] + dz * u[2]
+                    y = dx * v[0] + dy * v[1] + dz * v[2]
+                    z = dx * normal[0] + dy * normal[1] + dz * normal[2]
+                    weight = (1 - square) ** 2  # fades: a fit changes with the scale without jumps
+                    wx, wy = weight * x, weight * y
+                    xx, xy, yy = wx * x, wx * y, wy * y
+                    m00, m10, m01 = m00 + weight, m10 + wx, m01 + wy
+                    m20, m11, m02 = m20 + xx, m11 + xy, m02 + yy
+                    m30, m21, m12, m03 = m30 + xx * x, m21 + xx * y, m12 + yy * x, m03 + yy * y
+                    m40, m31, m22 = m40 + xx * x * x, m31 + xx * x * y, m22 + xx * y * y
+                    m13, m04 = m13 + yy * y * x, m04 + yy * y * y
+                    h00, h10, h01 = h00 + weight * z, h10 + wx * z, h01 + wy * z
+                    h20, h11, h02 = h20 + xx * z, h11 + xy * z, h02 + yy * z
+            # Of the basis 1, x, y, x^2 / 2, x y, y^2 / 2: the lower triangle.
+            A[0, 0] = m00
+            A[1, 0], A[1, 1] = m10, m20
+            A[2, 0], A[2, 1], A[2, 2] = m01, m11, m02
+            A[3, 0], A[3, 1], A[3, 2], A[3, 3] = m20 / 2, m30 / 2, m21 / 2, m40 / 4
+            A[4, 0], A[4, 1], A[4, 2], A[4, 3], A[4, 4] = m11, m21, m12, m31 / 2, m22
+            A[5, 0], A[5, 1], A[5, 2], A[5, 3] = m02 / 2, m12 / 2, m03 / 2, m22 / 4
+            A[5, 4], A[5, 5] = m13 / 2, m04 / 4
+            b[0], b[1], b[2], b[3], b[4], b[5] = h00, h10, h01, h20 / 2, h11, h02 / 2
+            failures[i] = 0 if size > _NEIGHBOURS and _solve(A, b) else FEW
+            if failures[i] == 0:
+                scales[i] = scale
+                _bend(b, scale, u, v, normal, principal[i], directions[i], fitted[i])
+                break
+
+
+@register_jitable
+def _cross(a: Floats, b: Floats, out: Floats) -> None:
+    for r in range(3):
+        out[r] = a[(r + 1) % 3] * b[(r + 2) % 3] - a[(r + 2) % 3] * b[(r + 1) % 3]
+
+
+@register_jitable
+def _frame(normal: Floats, u: Floats, v: Floats) -> None:
+    """Write two axes that are across a unit vector, right-handed."""
+    least = 0
+    for r in (1, 2):
+        if abs(normal[r]) < abs(normal[least]):
+            least = r
+    for r in range(3):
+        u[r] = (1.0 if r == least else 0.0) - normal[least] * normal[r]
+    length = math.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
+    for r in range(3):
+        u[r] /= length
+    _cross(normal, u, v)
+
+
+@register_jitable
+def _solve(A: Floats, b: Floats) -> bool:
+    """Solve ``A x = b`` in place by Cholesky's factor; tell whether that is well determined.
+
+    Written out here: LAPACK takes longer to call than six unknowns to eliminate.
+    """
+    for j in range(len(b)):
+        whole = A[j, j]
+        for k in range(j):
+            A[j, j] -= A[j, k] ** 2
+        if not A[j, j] > _SINGULAR * whole:
+            return False
+        A[j, j] = math.sqrt(A[j, j])
+        for i in range(j + 1, len(b)):
+            for k in range(j):
+                A[i, j] -= A[i, k] * A[j, k]
+            A[i, j] /= A[j, j]
+    for j in range(len(b)):
+        for k in range(j):
+            b[j] -= A[j, k] * b[k]
+        b[j] /= A[j, j]
+    for j in range(len(b) - 1, -1, -1):
+        for k in range(j + 1, len(b)):
+            b[j] -= A[k, j] * b[k]
+        b[j] /= A[j, j]
+    return True
+
+
+@register_jitable
+def _bend(
+    b: Floats,
+    scale: float,
+    u: Floats,
+    v: Floats,
+    normal: Floats,
+    principal: Floats,
+    directions: Floats,
+    fitted: Floats,
+) -> None:
+    """Write what bends the graph of ``b0 + b1 x + b2 y + b3 x^2 / 2 + b4 x y + b5 y^2 / 2`` at 0.
+
+    In its tangent plane the axes are up the slope and along the contour: in these, the second
+    fundamental form is symmetric, and its eigenvalues are the principal curvatures.
+    """
+    slope = math.hypot(b[1], b[2])
+    p, q = (b[1] / slope, b[2] / slope) if slope > 0 else (1.0, 0.0)
+    l = math.hypot(1.0, slope)
+    up = -(b[3] * p * p + 2 * b[4] * p * q + b[5] * q * q) / (l**3 * scale)
+    mixed = -(b[4] * (p * p - q * q) + (b[5] - b[3]) * p * q) / (l**2 * scale)
+    along = -(b[3] * q * q - 2 * b[4] * p * q + b[5] * p * p) / (l * scale)
+    middle, half = (up + along) / 2, math.hypot((up - along) / 2, mixed)
+    principal[0], principal[1] = middle + half, middle - half
+    angle = math.atan2(mixed, (up - along) / 2) / 2
+    cos, sin = math.cos(angle), math.sin(angle)
+    for r in range(3):
+        rise = (p * u[r] + q * v[r] + slope * normal[r]) / l
+        contour = p * v[r] - q * u[r]
+        fitted[r] = (normal[r] - b[1] * u[r] - b[2] * v[r]) / l
+        directions[0, r] = cos * rise + sin * contour
+    _cross(fitted, directions[0], directions[1])
