@@ -244,5 +244,9 @@ class DoubtfulMatchWarning(SpectraKitWarning):
     """
 
 
+class AmbiguousModesWarning(SpectraKitWarning):
+    """An answer hangs on one mode, but others have about its eigenvalue: any mix would do."""
+
+
 class DamagedEntryWarning(SpectraKitWarning):
     """An entry of a store is damaged, and computed again, or left out."""

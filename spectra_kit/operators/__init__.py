@@ -7,6 +7,7 @@ from spectra_kit.operators.assemble import (
     laplacian,
     robust_laplacian,
 )
+from spectra_kit.operators.equations import diffuse, poisson, schroedinger
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.operators.many import laplacian_many
@@ -17,7 +18,12 @@ from spectra_kit.operators.oriented import (
     oriented_triangles,
     skew,
 )
-from spectra_kit.operators.tangent import TangentGradient, tangent_gradient
+from spectra_kit.operators.tangent import (
+    TangentGradient,
+    divergence,
+    gradient,
+    tangent_gradient,
+)
 
 __all__ = [
     "IntrinsicTriangulation",
@@ -27,13 +33,18 @@ __all__ = [
     "area_form",
     "cotan_laplacian",
     "delaunay_laplacian",
+    "diffuse",
+    "divergence",
+    "gradient",
     "intrinsic_delaunay",
     "knn_laplacian",
     "laplacian",
     "laplacian_many",
     "orientation_operator",
     "oriented_triangles",
+    "poisson",
     "robust_laplacian",
+    "schroedinger",
     "skew",
     "tangent_gradient",
 ]
