@@ -245,7 +245,7 @@ class DoubtfulMatchWarning(SpectraKitWarning):
 
 
 class AmbiguousModesWarning(SpectraKitWarning):
-    """An answer hangs on one mode, but others have about its eigenvalue: any mix would do."""
+    """Modes leave a choice: others have about the same eigenvalue, or another cut is as good."""
 
 
 class DamagedEntryWarning(SpectraKitWarning):

@@ -20,11 +20,11 @@ class ShapeDifference(NamedTuple):
     Attributes
     ----------
     area : ndarray of shape (k1, k1)
-        V, on coefficients of the source's modes: ``<f, V g>`` on the source is the inner product of
-        f and g carried to the target. The identity where areas stay as they are.
+        V, on coefficients of the source's modes: ``<f, V g>`` is the inner product of what f and g
+        become on the target. The identity where areas stay as they are.
     conformal : ndarray of shape (k1 - z, k1 - z)
-        R, the same for inner products of gradients; on the modes outside the kernel, of which z are
-        left out. The identity where angles stay as they are.
+        R, the same for inner products of gradients, on modes outside the kernel of z. The identity
+        where angles stay as they are.
     """
 
     area: Floats
@@ -37,10 +37,13 @@ def shape_difference(
 ) -> ShapeDifference:
     """Return the area-based and the conformal shape difference operator of a map.
 
+    Rustamov, Ovsjanikov, Azencot, Ben-Chen, Chazal and Guibas, *Map-Based Exploration of Intrinsic
+    Shape Differences and Variability*, ACM Transactions on Graphics 32(4), 2013.
+
     Parameters
     ----------
     source, target : Spectrum
-        Of the two surfaces, in one unit of length: its ratio of areas counts.
+        Of the two surfaces, in one unit: of a copy scaled by s, V is ``s**2 I`` and R is I.
     functional_map : array_like of shape (k2, k1)
         Source coefficients to target coefficients, at unit area, as everywhere here. Have k2 well
         above k1: what the target's modes cannot hold is lost, as if it had shrunk.
@@ -48,17 +51,8 @@ def shape_difference(
     Returns
     -------
     ShapeDifference
-        Both the identity of an isometry. A copy scaled by s has ``s**2`` times the identity for
-        areas, and the identity for angles.
-
-    Notes
-    -----
-    Rustamov, Ovsjanikov, Azencot, Ben-Chen, Chazal and Guibas, *Map-Based Exploration of Intrinsic
-    Shape Differences and Variability*, ACM Transactions on Graphics 32(4), 2013: with C the map
-    between modes in the unit of the surfaces, ``V = C^T C`` and ``R = Lambda_1^-1 C^T Lambda_2 C``.
-    Eigenvalues are factors, and eigenvectors of the largest and smallest functions on the source
-    that live where the map stretches most and least. V is symmetric, R is so in the inner product
-    of gradients.
+        ``V = C^T C`` and ``R = Lambda_1^-1 C^T Lambda_2 C``, with the map C in the unit of the
+        surfaces. Eigenvectors of the largest eigenvalues live where the map stretches most.
 
     Examples
     --------

@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import sparse
 
 from spectra_kit._core.types import Bools, Floats, Ints
 from spectra_kit._core.validate import real_array
-from spectra_kit._sparse.conjugate_gradients import pcg
 from spectra_kit._sparse.grounded import held_at_zero
-from spectra_kit._sparse.incomplete_cholesky import IncompleteCholesky
 from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit._sparse.pencil import Pencil
-from spectra_kit.errors import InvalidInputError, OutOfMemoryError
+from spectra_kit.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from spectra_kit.operators.laplacian import Laplacian
 
 Made = TypeVar("Made")
-
 _SUM = 1e-9  # share of the magnitudes below which a sum is rounding
 _ACCURATE = 1e-7  # relative residual up to which a solution is one
-_RTOL = 1e-10  # of conjugate gradients
 
 
 def solution(
@@ -37,47 +31,30 @@ def solution(
     values: ArrayLike | None,
 ) -> Floats:
     """Return what `Laplacian.solve` does, of a right-hand side by the `name` of an argument."""
-    at, given = _given(fixed, values)
-    if rhs is None and fixed is None:
+    if fixed is None and values is not None:
+        raise InvalidInputError("values", "come with the points that have them, `fixed`")
+    if fixed is None and rhs is None:
         raise InvalidInputError(name, "be given where no point is held", None)
-    shape = (laplacian.n, *given.shape[1:])
+    at = np.empty(0, dtype=np.int64) if fixed is None else fixed
+    if fixed is not None and (at.ndim != 1 or len(np.unique(at)) < max(at.size, 1)):
+        raise InvalidInputError("fixed", "be a vector of points, each once", f"shape {at.shape}")
+    given = real_array("values", 0.0 if values is None else values)
+    shape = (laplacian.n, *given.shape[1:2])
     b = np.zeros(shape) if rhs is None else columns(name, rhs, laplacian.n)
-    if given.ndim and given.shape[1:] != b.shape[1:]:
-        expected = (len(at), *b.shape[1:])
-        raise InvalidInputError("values", f"have shape {expected}", given.shape)
+    expected = (len(at), *b.shape[1:])
+    if given.ndim and given.shape != expected:
+        raise InvalidInputError("values", f"be a number or have shape {expected}", given.shape)
     held = np.zeros_like(b)
     held[at] = given
     system = kept(laplacian, HeldSystem, np.union1d(at, laplacian.fixed))
-    if rhs is None and len(system.loose.points):
+    if rhs is None and len(first := system.loose.first):
         raise InvalidInputError(
             "fixed",
             "name a point of each component",
-            f"none of that of point {system.loose.points[0]}",
+            f"none of that of point {first[0]}",
             advice="hold one there, or leave that part out",
         )
     return by_columns(b, lambda sides: system.solve(name, sides, _rows(held)))
-
-
-def _given(fixed: Ints | None, values: ArrayLike | None) -> tuple[Ints, Floats]:
-    """Return points and their values, one number for all or one row for each."""
-    if fixed is None:
-        if values is not None:
-            raise InvalidInputError("values", "come with the points that have them, `fixed`")
-        return np.empty(0, dtype=np.int64), np.zeros(())
-    if fixed.ndim != 1 or not len(fixed):
-        raise InvalidInputError(
-            "fixed", "be a vector of at least one point", f"shape {fixed.shape}"
-        )
-    if len(np.unique(fixed)) < len(fixed):
-        raise InvalidInputError("fixed", "name each point once", "some of them twice")
-    given = real_array("values", 0.0 if values is None else values)
-    if given.ndim > 2 or (given.ndim and len(given) != len(fixed)):
-        raise InvalidInputError(
-            "values",
-            f"be a number, or have a row for each of {len(fixed)} fixed points",
-            f"shape {given.shape}",
-        )
-    return fixed, given
 
 
 def columns(name: str, values: ArrayLike, n: int) -> Floats:
@@ -99,39 +76,16 @@ def _rows(values: Floats) -> Floats:
 
 def kept(laplacian: Laplacian, kind: Callable[[Laplacian, Any], Made], key: Any) -> Made:
     """Return what was made with this key the last time, or make it: one of each kind is kept."""
-    slot = f"_{kind.__name__}"
-    if slot in vars(laplacian):
-        old_key, made = vars(laplacian)[slot]
-        if np.array_equal(old_key, key):
-            return made  # type: ignore[no-any-return]
-        del made, vars(laplacian)[slot]  # there may not be room for two
-    vars(laplacian)[slot] = key, (made := kind(laplacian, key))
+    slot, place = f"_{kind.__name__}", vars(laplacian)
+    if slot in place and np.array_equal(place[slot][0], key):
+        return place[slot][1]  # type: ignore[no-any-return]
+    place.pop(slot, None)  # there may not be room for two
+    place[slot] = key, (made := kind(laplacian, key))
     return made
 
 
-class _Iterations:
-    """Conjugate gradients, in the place of a factor that does not fit into memory."""
-
-    def __init__(self, matrix: sparse.csr_array) -> None:
-        self._matrix, self._preconditioner = matrix, IncompleteCholesky(matrix)
-
-    def solve(self, sides: Floats) -> Floats:
-        """Solve for the columns of `sides`, (n, c), one after the other."""
-        A, near = self._matrix, self._preconditioner
-        found = [pcg(A, b, preconditioner=near, rtol=_RTOL).x for b in sides.T]
-        return np.stack(found, axis=1)
-
-
-def factorised(laplacian: Laplacian, sigma: float, held: Bools) -> SparseLDL | _Iterations:
+def factorised(laplacian: Laplacian, sigma: float, held: Bools) -> SparseLDL:
     """Factorise ``L - sigma M``, with rows and columns of points cleared but for a one."""
-    with suppress(OutOfMemoryError):
-        return _factor(laplacian, sigma, held)
-    laplacian._forget()
-    matrix = laplacian.stiffness - sigma * sparse.diags_array(laplacian.mass)
-    return _Iterations(held_at_zero(sparse.csr_array(matrix), held))
-
-
-def _factor(laplacian: Laplacian, sigma: float, held: Bools) -> SparseLDL:
     pencil = Pencil(laplacian.stiffness, laplacian.mass, laplacian._elimination)
     matrix = held_at_zero(pencil.shifted(sigma), held)
     parts = matrix.data, matrix.diagonal(), pencil.elimination
@@ -152,7 +106,7 @@ def _singular(found: str) -> InvalidInputError:
 
 
 class Loose:
-    """Components on which constants have no energy: sums of functions (n,) there, and means."""
+    """Components on which constants have no energy, and the means of functions (n,) there."""
 
     def __init__(self, laplacian: Laplacian) -> None:
         constant = laplacian.constant_components
@@ -160,21 +114,10 @@ class Loose:
         numbers[:-1][constant] = np.arange(constant.sum())
         labels = numbers[laplacian.component_labels]
         self.points: Ints = np.flatnonzero(labels >= 0)
-        self._labels = labels[self.points]
-        mass = laplacian.mass[self.points]
+        self._labels, mass = labels[self.points], laplacian.mass[self.points]
         self._shares = mass / np.bincount(self._labels, mass)[self._labels]
         #: The first point of each.
         self.first: Ints = self.points[np.unique(self._labels, return_index=True)[1]]
-
-    def sums(self, values: Floats) -> Floats:
-        """Return the sum on each."""
-        return np.bincount(self._labels, values[self.points]).astype(np.float64)
-
-    def without(self, values: Floats, sums: Floats) -> Floats:
-        """Return integrated `values` less these `sums`, taken from points by their mass."""
-        found = values.copy()
-        found[self.points] -= self._shares * sums[self._labels]
-        return found
 
     def means(self, values: Floats) -> Floats:
         """Return the mean, by mass, on the component of each point, (n,); zero elsewhere."""
@@ -190,11 +133,11 @@ class HeldSystem:
     def __init__(self, laplacian: Laplacian, fixed: Ints) -> None:
         more = len(fixed) > len(laplacian.fixed)
         holding = laplacian.dirichlet(fixed) if more else laplacian
-        self._stiffness = laplacian.stiffness
-        self._free, self.loose = holding.free, Loose(holding)
+        self._stiffness, self._mass = laplacian.stiffness, laplacian.mass
+        self._free = holding.free
         # One point of each loose component is held, too: where b sums to zero, the equation that
         # is dropped follows from the others.
-        self._held = np.zeros(laplacian.n, dtype=bool)
+        self.loose, self._held = Loose(holding), np.zeros(laplacian.n, dtype=bool)
         self._held[fixed] = self._held[self.loose.first] = True
         self._factor = factorised(laplacian, 0.0, self._held)
 
@@ -204,34 +147,28 @@ class HeldSystem:
             self._balanced(name, b) - self._stiffness @ g for b, g in zip(sides, given, strict=True)
         ]
         solved = self._factor.solve(np.where(self._held, 0.0, moved).T).T
-        return np.stack(
-            [g + self._accurate(b, x) for b, g, x in zip(moved, given, solved, strict=True)]
-        )
+        found = zip(moved, given, solved, strict=True)
+        return np.stack([g + self._accurate(b, x) for b, g, x in found])
 
     def _balanced(self, name: str, b: Floats) -> Floats:
         """Return b less its rounding where it must sum to zero, if it does."""
-        loose = self.loose
-        sums, sizes = loose.sums(b), loose.sums(np.abs(b))
-        bad = np.flatnonzero(np.abs(sums) > _SUM * sizes)
-        if len(bad):
+        excess, size = (self.loose.means(f / self._mass) for f in (b, np.abs(b)))
+        for bad in np.flatnonzero(np.abs(excess) > _SUM * size)[:1]:
             raise InvalidInputError(
                 name,
                 "sum to zero (a density: times mass) on each component without a fixed point",
-                f"{sums[bad[0]]:.3g} of magnitudes {sizes[bad[0]]:.3g} on that of point"
-                f" {loose.first[bad[0]]}",
+                f"{excess[bad]:.3g} for each unit of mass on that of point {bad}",
                 advice="subtract mass * (rhs.sum() / mass.sum()) there, or of a density its mean by"
                 " mass; or hold a point there",
             )
-        return loose.without(b, sums)
+        return np.asarray(b - self._mass * excess)
 
     def _accurate(self, b: Floats, x: Floats) -> Floats:
         """Return what the factor made of b, if it is a solution, with mean zero where loose."""
         x = x - self.loose.means(x)
         unit = float(np.abs(b).max()) or 1.0  # in which squares are numbers
         left = (b / unit - self._stiffness @ (x / unit), b / unit)
-        residual, norm = (np.linalg.norm(r[self._free]) for r in left)
+        residual, norm = (np.linalg.norm(part[self._free]) for part in left)
         if not residual <= _ACCURATE * norm:
-            raise _singular(
-                f"a solution with a residual of {residual / norm:.1e} of its right side"
-            )
+            raise _singular(f"a residual of {residual / norm:.1e} of its right side")
         return x

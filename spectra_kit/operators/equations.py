@@ -35,26 +35,22 @@ def poisson(
     Parameters
     ----------
     laplacian : Laplacian
-        On n points.
+        On n points. Nothing flows through a boundary that is not fixed.
     density : array_like of shape (n,) or (n, c)
-        f, in the unit of u over length^2. On components without a fixed point or potential its mean
-        by mass is zero.
+        f, in the unit of u over length^2; of mean zero on components without a fixed point.
     fixed, values
-        Points at which u is given, and what it is there, as of `Laplacian.solve`.
+        As of `Laplacian.solve`: points at which u is given, and what it is there.
 
     Returns
     -------
     ndarray of shape (n,) or (n, c)
-        ``laplacian.solve(mass * f, ...)``; on components without a fixed point its mean by mass is
-        zero. Nothing flows through a boundary that is not fixed.
+        ``laplacian.solve(mass * f, ...)``.
 
     Examples
     --------
-    Coordinates on the unit sphere are eigenfunctions, of eigenvalue 2:
-
     >>> import spectra_kit as sk
     >>> ball = sk.geometry.sphere(subdivisions=4).geometry
-    >>> z = ball.points[:, 2]
+    >>> z = ball.points[:, 2]  # an eigenfunction, of eigenvalue 2
     >>> u = sk.operators.poisson(sk.robust_laplacian(ball), 2 * z)
     >>> bool(abs(u - z).max() < 2e-3)
     True
@@ -70,8 +66,7 @@ def diffuse(laplacian: Laplacian, field: ArrayLike, time: float) -> Floats:
     Parameters
     ----------
     laplacian : Laplacian
-        On n points. Those that it holds at zero take up what heat comes to them; through a boundary
-        that it does not hold none flows.
+        On n points. Those held at zero take up heat; no other boundary lets any through.
     field : array_like of shape (n,) or (n, c)
         u at the start; not heeded at fixed points.
     time : float
@@ -80,24 +75,19 @@ def diffuse(laplacian: Laplacian, field: ArrayLike, time: float) -> Floats:
     Returns
     -------
     ndarray of shape (n,) or (n, c)
-        u after that time. Bit by bit, each column is what it would be alone.
+        u after that time; each column is what it would be alone.
 
     Notes
     -----
-    The error is that of rounding and at most 1e-10 of the field, less its mean, in the norm by
-    mass: of any operator, at any time. It is linear in the field, the mean by mass of each
-    component stays what it was, and what oscillates infinitely fast is gone (L-stable). Where no
-    weight is negative, as of `robust_laplacian` and `delaunay_laplacian`, the exact heat stays
-    between the least and the greatest value of the field, and so does this, but for that error. For
-    heat that is right relative to itself where it is next to none, see `HeatGeodesics`.
+    Of any operator, at any time, the error is at most 1e-10 of the field, in the norm by mass, and
+    rounding. Means by mass stay what they were, and what oscillates infinitely fast is gone
+    (L-stable). Where no weight is negative, exact heat stays between the least and the greatest
+    value of the field, and so does this, but for that error.
 
-    With ``B = (M + s L)^-1 M``, a polynomial in B interpolates ``exp(-t M^-1 L)`` in the Chebyshev
-    points of [0, 1], where all eigenvalues of B lie: rational functions with one real pole converge
-    geometrically for all times at once (Saff, Schoenhage and Varga, *Geometric convergence to e^-z
-    by rational functions with real poles*, Numerische Mathematik 25, 1976; Andersson,
-    *Approximation of e^-x by rational functions with concentrated negative poles*, Journal of
-    Approximation Theory 32, 1981). It takes one factor, which is kept for the next field and the
-    same time, and 24 solves.
+    A polynomial in ``B = (M + s L)^-1 M`` interpolates ``exp(-t M^-1 L)`` in the Chebyshev points
+    of [0, 1], where eigenvalues of B lie (Andersson, *Approximation of e^-x by rational functions
+    with concentrated negative poles*, Journal of Approximation Theory 32, 1981): one factor, kept
+    for the same time, and 24 solves.
 
     Examples
     --------
@@ -162,20 +152,20 @@ def heat_weights(solves: int, step: float) -> Floats:
 
 @checked
 def schroedinger(laplacian: Laplacian, potential: ArrayLike) -> Laplacian:
-    """Return the operator ``-Delta + V`` of Schroedinger's equation, and of whatever is damped.
+    """Return the operator ``-Delta + V`` of Schroedinger's equation, or of what is damped.
 
     Parameters
     ----------
     laplacian : Laplacian
-        On n points; those that it holds at zero stay so.
+        On n points.
     potential : float or array_like of shape (n,)
-        V >= 0, in 1/length^2. Of another one pass ``V - V.min()``, and add that minimum to the
-        eigenvalues: modes are the same.
+        V >= 0, in 1/length^2. Of another one pass ``V - V.min()``: modes are the same, eigenvalues
+        higher by as much.
 
     Returns
     -------
     Laplacian
-        ``L + M V``, for all solvers. It has no zero modes where V is more than rounding.
+        ``L + M V``, for all solvers.
 
     Examples
     --------

@@ -202,26 +202,22 @@ class Laplacian(Rebuilt):
         Parameters
         ----------
         rhs : array_like of shape (n,) or (n, c), optional
-            Integrated, in the unit of u: of a density f, ``mass * f``, as `poisson` has it. Ignored
-            at fixed points.
+            Integrated: of a density f, ``mass * f``, as `poisson` has it.
         fixed : array_like of int of shape (m,), or mask of shape (n,), optional
-            Points at which u is given. At the operator's own `fixed` points u is zero, unless they
-            are among these.
+            Points at which u is given. At the operator's own, if they are none of these, u is zero.
         values : float, or array_like of shape (m,) or (m, c), optional
             What u is there, in the order of `fixed`, of a mask ascending; zero by default.
 
         Returns
         -------
         ndarray of shape (n,) or (n, c)
-            On components without a fixed point or potential u is known up to a constant, and has
-            mean zero by mass; there `rhs` must sum to zero, and without one a point be fixed. Bit
-            by bit, each column is what it would be alone.
+            On components without a fixed point or potential u has mean zero by mass, and `rhs` must
+            sum to zero; without one, a point must be fixed. Each column is what it would be alone.
 
         Notes
         -----
-        The factor is kept, until fixed points are others: the next right-hand side, or the next
-        values at these points, take a twentieth of the time. Where it does not fit into memory,
-        conjugate gradients solve to a residual of 1e-10.
+        The factor is kept until fixed points are others: the next right-hand side, or the next
+        values at these points, take a tenth of the time or less.
 
         Examples
         --------

@@ -208,6 +208,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("IntrinsicTriangulation.divergence.vectors", np.ones((len(triangulation.corners), 2))),
         ("rhs density potential diffuse.field", np.ones(n)),
         ("Laplacian.solve.fixed poisson.fixed", [0, 1]),
+        ("fiedler_order.surface", ball.with_points(ball.points * [1, 1.3, 1.7])),
         ("Laplacian.solve.values poisson.values", [0.5, 1.0]),
         ("dirichlet_energy.source dirichlet_energy.target", laplacian),
         ("laplacians", [laplacian]),
