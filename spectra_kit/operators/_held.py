@@ -13,7 +13,7 @@ from spectra_kit._core.validate import real_array
 from spectra_kit._sparse.grounded import held_at_zero
 from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit._sparse.pencil import Pencil
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 
 if TYPE_CHECKING:
     from spectra_kit.operators.laplacian import Laplacian
@@ -86,11 +86,14 @@ def kept(laplacian: Laplacian, kind: Callable[[Laplacian, Any], Made], key: Any)
 
 def factorised(laplacian: Laplacian, sigma: float, held: Bools) -> SparseLDL:
     """Factorise ``L - sigma M``, with rows and columns of points cleared but for a one."""
-    pencil = Pencil(laplacian.stiffness, laplacian.mass, laplacian._elimination)
-    matrix = held_at_zero(pencil.shifted(sigma), held)
-    parts = matrix.data, matrix.diagonal(), pencil.elimination
     try:
+        pencil = Pencil(laplacian.stiffness, laplacian.mass, laplacian._elimination)
+        matrix = held_at_zero(pencil.shifted(sigma), held)
+        parts = matrix.data, matrix.diagonal(), pencil.elimination
         return SparseLDL.of_entries(*parts, definite=True)
+    except OutOfMemoryError as error:
+        found = str(error).partition(";")[0]
+        raise OutOfMemoryError(found, advice="take a coarser geometry") from error
     except InvalidInputError as error:
         raise _singular(str(error)) from error
 

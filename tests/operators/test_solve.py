@@ -1,5 +1,9 @@
 """``L u = b`` with values held at points: closed forms, minimality, what is kept for the next."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from conftest import bumpy, creature, moebius, refused, two_parts, two_sheets
@@ -273,3 +277,38 @@ def test_lapy_finds_the_same() -> None:
     t = shape.avg_edge_length() ** 2
     step = schroedinger(ours, 1 / t).solve((np.arange(mesh.n) == 17) / t)
     np.testing.assert_allclose(step, diffusion(shape, [17], m=1.0), rtol=1e-6)
+
+
+STARVED = """
+import resource
+import numpy as np
+from scipy import sparse
+from spectra_kit import Laplacian
+from spectra_kit.errors import OutOfMemoryError
+
+side = 30  # of a cube of points, whose factor fills up
+path = sparse.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(side, side))
+one = sparse.eye_array(side)
+square = sparse.kron(path, one) + sparse.kron(one, path)
+cube = sparse.csr_array(sparse.kron(square, one) + sparse.kron(sparse.eye_array(side**2), path))
+grid = np.stack(np.meshgrid(*[np.arange(side)] * 3), axis=-1).reshape(-1, 3)
+Laplacian(path, np.ones(side), grid[:side]).solve(fixed=[0], values=1.0)  # imports, compiles
+laplacian = Laplacian(cube, np.ones(side**3), grid)
+pages = int(open("/proc/self/statm").read().split()[0])
+limit = pages * resource.getpagesize() + 60 * 2**20
+resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+try:
+    laplacian.solve(fixed=[0], values=1.0)
+except OutOfMemoryError as error:
+    print(error)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="counts memory as Linux does")
+def test_want_of_memory_is_told() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", STARVED], capture_output=True, text=True, check=False
+    )
+    told = "the factor of 27000 unknowns does not fit into memory; take a coarser geometry\n"
+    assert done.stdout == told, done.stderr
