@@ -209,6 +209,8 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("rhs density potential diffuse.field", np.ones(n)),
         ("Laplacian.solve.fixed poisson.fixed", [0, 1]),
         ("fiedler_order.surface", ball.with_points(ball.points * [1, 1.3, 1.7])),
+        ("spectral_segments.surface", geometry.creature(500)),
+        ("spectral_segments.parts", 2),
         ("Laplacian.solve.values poisson.values", [0.5, 1.0]),
         ("dirichlet_energy.source dirichlet_energy.target", laplacian),
         ("laplacians", [laplacian]),
