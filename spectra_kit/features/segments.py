@@ -131,7 +131,6 @@ def spectral_segments(surface: Solvable, parts: int, *, seed: int = 0) -> Ints:
     4
     """
     spectrum = solved(surface)
-    spectrum = spectrum.rescale(spectrum.area**-0.5)
     labels, modes = kernel_labels(spectrum), outside_kernel(spectrum)
     check_count("parts", parts, low=int(labels.max()) + 1, high=spectrum.n)
     rng, mass = np.random.default_rng(check_count("seed", seed, low=0)), spectrum.mass
