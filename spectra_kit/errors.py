@@ -248,5 +248,9 @@ class DoubtfulMatchWarning(SpectraKitWarning):
     """
 
 
+class AmbiguousModesWarning(SpectraKitWarning):
+    """Modes leave a choice: others have about the same eigenvalue, or another cut is as good."""
+
+
 class DamagedEntryWarning(SpectraKitWarning):
     """An entry of a store is damaged, and computed again, or left out."""

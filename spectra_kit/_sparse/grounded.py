@@ -46,7 +46,7 @@ class GroundedCholesky:
         self.n: int = self._matrix.shape[0]
         self._held = np.zeros(self.n, dtype=bool)
         self._held[np.unique(kernel.labels, return_index=True)[1]] = True
-        held = _held_at_zero(self._matrix, self._held)
+        held = held_at_zero(self._matrix, self._held)
         self._factor = SparseLDL(held, elimination=elimination)
         self.seconds = clock.total
 
@@ -88,7 +88,7 @@ class GroundedCholesky:
         )
 
 
-def _held_at_zero(matrix: sparse.csr_array, held: NDArray[np.bool_]) -> sparse.csr_array:
+def held_at_zero(matrix: sparse.csr_array, held: NDArray[np.bool_]) -> sparse.csr_array:
     """Return `matrix` with rows and columns of points cleared but for a one on the diagonal.
 
     In the same pattern, if all diagonal entries are stored.

@@ -3,6 +3,7 @@
 ==============  ======================================================  ============
 of a point      `heat_kernel_signature`, `wave_kernel_signature`, also  (n, columns)
                 as seen from landmarks; `global_point_signature`
+of all points   `fiedler_order`, `spectral_segments`                    (n,)
 of two points   `diffusion_distances`, `biharmonic_distances`,          (sources, n)
                 `commute_time_distances`; `heat_kernel`
 of a surface    `shape_dna`, compared by `shape_dna_distances`          (modes,)
@@ -82,6 +83,7 @@ from spectra_kit.features.heat import (
     heat_kernel_signature,
     heat_times,
 )
+from spectra_kit.features.segments import fiedler_order, spectral_segments
 from spectra_kit.features.shape_dna import (
     ShapeDNA,
     shape_dna,
@@ -117,6 +119,7 @@ __all__ = [
     "embed_batch",
     "embed_shape",
     "farthest_points",
+    "fiedler_order",
     "global_point_signature",
     "heat_kernel",
     "heat_kernel_signature",
@@ -124,6 +127,7 @@ __all__ = [
     "normalize_descriptors",
     "shape_dna",
     "shape_dna_distances",
+    "spectral_segments",
     "wave_energies",
     "wave_kernel_signature",
 ]

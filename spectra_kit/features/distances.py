@@ -93,7 +93,7 @@ def biharmonic_distances(surface: Solvable, sources: ArrayLike) -> Floats:
     sources = check_sources("sources", sources, spectrum)
     embedding = _biharmonic_embedding(spectrum)
     distances = np.asarray(cdist(embedding[sources], embedding))
-    return _infinite_between(_kernel_labels(spectrum), sources, distances)
+    return _infinite_between(kernel_labels(spectrum), sources, distances)
 
 
 @checked
@@ -136,7 +136,7 @@ def commute_time_distances(surface: Solvable, sources: ArrayLike) -> Floats:
     sources = check_sources("sources", sources, spectrum)
     modes = outside_kernel(spectrum)
     embedding = modes.eigenvectors / np.sqrt(modes.eigenvalues)
-    labels = _kernel_labels(spectrum)
+    labels = kernel_labels(spectrum)
     area = np.bincount(labels, spectrum.mass)[labels[sources]]
     distances = np.sqrt(area)[:, None] * cdist(embedding[sources], embedding)
     return _infinite_between(labels, sources, distances)
@@ -178,7 +178,7 @@ def farthest_points(surface: Solvable, count: int, *, start: int | None = None) 
     """
     spectrum = solved(surface)
     check_count("count", count, low=1, high=spectrum.n)
-    embedding, labels = _biharmonic_embedding(spectrum), _kernel_labels(spectrum)
+    embedding, labels = _biharmonic_embedding(spectrum), kernel_labels(spectrum)
     from_middle = np.sum(embedding**2, axis=1)  # squared, as all that follows
     # Components without a point are farther than any distance; among their points, tips go first.
     gap = 4 * from_middle.max() + from_middle
@@ -200,7 +200,7 @@ def _biharmonic_embedding(spectrum: Spectrum) -> Floats:
     return np.asarray(modes.eigenvectors / modes.eigenvalues)
 
 
-def _kernel_labels(spectrum: Spectrum) -> Ints:
+def kernel_labels(spectrum: Spectrum) -> Ints:
     """Return a label of each point, (n,): equal where the zero modes cannot tell them apart.
 
     These are the components, except that all points of components without a zero mode (fixed

@@ -19,6 +19,7 @@ refine    `zoomout`, `bijective_zoomout`, `icp`                to a `Corresponde
 convert   `point_map_from_functional_map`,                     one kind of map to the other
           `functional_map_from_point_map`
           `precise_map`, `functional_map_from_precise_map`     with points inside triangles
+compare   `shape_difference`                                   where it stretches, and by how much
 judge     `geodesic_errors`, `map_errors`, `accuracy_curve`,   against a known `Truth`, in
           `auc`                                                hundredths of the root of the area
           `coverage`, `dirichlet_energy`, `orientation`,       without one
@@ -46,6 +47,7 @@ from spectra_kit.maps.convert import (
     point_map_from_functional_map,
     precise_map,
 )
+from spectra_kit.maps.difference import ShapeDifference, shape_difference
 from spectra_kit.maps.evaluate import (
     FLIP_MARGIN,
     MapErrors,
@@ -80,6 +82,7 @@ __all__ = [
     "Match",
     "MatchOptions",
     "Prepared",
+    "ShapeDifference",
     "Truth",
     "accuracy_curve",
     "auc",
@@ -104,6 +107,7 @@ __all__ = [
     "precise_map",
     "prepare",
     "score_map",
+    "shape_difference",
     "zoomout",
     "zoomout_many",
 ]

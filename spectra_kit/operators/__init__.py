@@ -14,6 +14,7 @@ from spectra_kit.operators.connection import (
     tangent_frames,
 )
 from spectra_kit.operators.curvature import Curvature, curvature
+from spectra_kit.operators.equations import diffuse, poisson, schroedinger
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.operators.many import laplacian_many
@@ -25,7 +26,12 @@ from spectra_kit.operators.oriented import (
     skew,
 )
 from spectra_kit.operators.smoothing import smooth
-from spectra_kit.operators.tangent import TangentGradient, tangent_gradient
+from spectra_kit.operators.tangent import (
+    TangentGradient,
+    divergence,
+    gradient,
+    tangent_gradient,
+)
 
 __all__ = [
     "Curvature",
@@ -40,13 +46,18 @@ __all__ = [
     "cotan_laplacian",
     "curvature",
     "delaunay_laplacian",
+    "diffuse",
+    "divergence",
+    "gradient",
     "intrinsic_delaunay",
     "knn_laplacian",
     "laplacian",
     "laplacian_many",
     "orientation_operator",
     "oriented_triangles",
+    "poisson",
     "robust_laplacian",
+    "schroedinger",
     "skew",
     "smooth",
     "tangent_frames",

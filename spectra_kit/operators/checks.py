@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import check_count, check_positive, quantity
+from spectra_kit._core.validate import check_count, check_positive, quantity, real_array
 from spectra_kit._core.warn import warn
 from spectra_kit.errors import InvalidInputError, SplitSurfaceWarning
 from spectra_kit.geometry.shapes import (
@@ -48,6 +48,14 @@ def off_host(device: str) -> bool:
 
     check_device(device)
     return True
+
+
+def of_shape(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
+    """Return `values` as a finite float64 array of this shape."""
+    array = real_array(name, values)
+    if array.shape != shape:
+        raise InvalidInputError(name, f"have shape {shape}", array.shape)
+    return array
 
 
 def check_faces_usable(mesh: TriangleMesh) -> None:

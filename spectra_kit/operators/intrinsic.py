@@ -20,6 +20,7 @@ from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators.checks import (
     check_faces_usable,
     check_mollify_factor,
+    of_shape,
     off_host,
     warn_of_near_parts,
 )
@@ -147,7 +148,7 @@ class IntrinsicTriangulation(Rebuilt):
         In the unit of `values` over length, in a frame of each triangle: x runs along side 0, y
         points to corner 2. Frames of different triangles have nothing to do with each other.
         """
-        return gradients(self.corners, self.lengths, _of_shape("values", values, (self.n,)))
+        return gradients(self.corners, self.lengths, of_shape("values", values, (self.n,)))
 
     def divergence(self, vectors: ArrayLike) -> Floats:
         """Return the integrated divergence (n,), with its sign turned: the adjoint of `gradient`.
@@ -156,7 +157,7 @@ class IntrinsicTriangulation(Rebuilt):
         of ``<grad v, X>`` over the surface, so ``divergence(gradient(u))`` is ``laplacian.stiffness
         @ u``.
         """
-        field = _of_shape("vectors", vectors, (len(self.corners), 2))
+        field = of_shape("vectors", vectors, (len(self.corners), 2))
         return np.asarray(self.share * divergences(self.corners, self.lengths, field, self.n))
 
 
@@ -270,10 +271,3 @@ def _of_cover(
     return IntrinsicTriangulation(
         cover.corners, cover.lengths, 1 / cover.copies, cover.boundary, laplacian
     )
-
-
-def _of_shape(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
-    array = real_array(name, values)
-    if array.shape != shape:
-        raise InvalidInputError(name, f"have shape {shape}", array.shape)
-    return array

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse import csr_array
 
@@ -12,7 +13,7 @@ from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.operators.checks import check_cloud_usable, check_faces_usable, unit_of
+from spectra_kit.operators.checks import check_cloud_usable, check_faces_usable, of_shape, unit_of
 from spectra_kit.operators.local_delaunay import local_triangles
 from spectra_kit.operators.oriented import OrientedTriangles, oriented_triangles
 
@@ -73,6 +74,85 @@ def tangent_gradient(
     >>> bool(np.allclose(np.einsum("in,nir->nr", slopes, frames[:, :2]), [1, 0, 0]))
     True
     """
+    return _tangent(geometry, n_neighbors, oriented)[0]
+
+
+@checked
+def gradient(geometry: Geometry, values: ArrayLike, *, n_neighbors: int = 30) -> Floats:
+    """Return the gradient of a function at each point, as a vector of space.
+
+    Parameters
+    ----------
+    geometry : TriangleMesh or PointCloud
+        With n points.
+    values : array_like of shape (n,)
+        The function at the points.
+    n_neighbors : int, default 30
+        As of `tangent_gradient`, whose matrices give many gradients sooner.
+
+    Returns
+    -------
+    ndarray of shape (n, 3)
+        Tangent to the surface, in the unit of `values` over length; the mean over the triangles of
+        each point. That of each triangle is `IntrinsicTriangulation.gradient`.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> sheet = sk.geometry.rectangle(n=200).geometry
+    >>> abs(sk.operators.gradient(sheet, 3 * sheet.points[:, 0])[0].round(12))
+    array([3., 0., 0.])
+    """
+    tangent = _tangent(geometry, n_neighbors)[0]
+    f = of_shape("values", values, (geometry.n,))
+    slopes = np.stack([tangent.x @ f, tangent.y @ f], axis=1)
+    return np.asarray(np.einsum("na,nar->nr", slopes, tangent.frames[:, :2]))
+
+
+@checked
+def divergence(geometry: Geometry, vectors: ArrayLike, *, n_neighbors: int = 30) -> Floats:
+    """Return the divergence of a vector field at each point: minus the adjoint of `gradient`.
+
+    Parameters
+    ----------
+    geometry : TriangleMesh or PointCloud
+        With n points.
+    vectors : array_like of shape (n, 3)
+        Of what they have across the surface nothing is taken.
+    n_neighbors : int, default 30
+        As of `gradient`.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        In the unit of `vectors` over length. The mass is a third of the area of the triangles of
+        each point: for any f, ``mass @ (f * divergence)`` is ``-mass @ (gradient(f) *
+        vectors).sum(1)``. So what flows out through a boundary counts, too, at its points.
+
+    Notes
+    -----
+    Exact, away from boundaries, for linear fields on a plane. The divergence of a `gradient` has
+    the errors of both; for that take ``-(stiffness @ f) / mass``.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> ball = sk.geometry.sphere(subdivisions=4).geometry
+    >>> z = ball.points[:, 2:]
+    >>> found = sk.operators.divergence(ball, [0, 0, 1] - z * ball.points)  # grad z
+    >>> bool(abs(found + 2 * z[:, 0]).max() < 0.02)
+    True
+    """
+    tangent, areas = _tangent(geometry, n_neighbors)
+    field = of_shape("vectors", vectors, (geometry.n, 3))
+    along, across = areas * np.einsum("nr,nar->an", field, tangent.frames[:, :2])
+    return np.asarray(-(tangent.x.T @ along + tangent.y.T @ across) / areas)
+
+
+def _tangent(
+    geometry: Geometry, n_neighbors: int, oriented: bool = False
+) -> tuple[TangentGradient, Floats]:
+    """Return them with the area of the triangles of each point, (n,), in some unit."""
     unit = unit_of(geometry)
     points = geometry.points / unit
     n = geometry.n
@@ -109,7 +189,7 @@ def tangent_gradient(
         sparse.csr_array((np.concatenate(values), where), shape=(n, n))
         for values in zip(*slopes, strict=True)
     )
-    return TangentGradient(frames, x, y)
+    return TangentGradient(frames, x, y), np.asarray(total, dtype=np.float64)
 
 
 def check_area_at_all(total: Floats | Ints) -> None:

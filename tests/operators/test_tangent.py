@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
-from conftest import creature
+from conftest import creature, moebius, refused, two_sheets
+from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sample, sphere
-from spectra_kit.operators import tangent_gradient
+from spectra_kit.operators import divergence, gradient, tangent_gradient
+from spectra_kit.operators.tangent import _tangent
 
 
 def in_space(geometry, values):
@@ -111,3 +113,56 @@ def test_a_face_of_the_other_winding_does_not_turn_normals():
     np.testing.assert_allclose(
         mixed.frames[:, 2], tangent_gradient(mesh, oriented=True).frames[:, 2], atol=1e-12
     )
+
+
+SHAPES = [creature(600), creature(500).as_cloud(), moebius(), two_sheets()]
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=["mesh", "cloud", "one-sided", "non-manifold"])
+def test_divergence_is_minus_the_adjoint_of_the_gradient(shape):
+    rng = np.random.default_rng(0)
+    f, vectors = rng.standard_normal(shape.n), rng.standard_normal((shape.n, 3))
+    mass = _tangent(shape, 30)[1]
+    if isinstance(shape, TriangleMesh):
+        mass = np.bincount(shape.faces.ravel(), np.repeat(shape.face_areas, 3)) / 3
+    found = mass @ (f * divergence(shape, vectors))
+    expected = -mass @ (gradient(shape, f) * vectors).sum(axis=1)
+    assert found == pytest.approx(expected, rel=1e-10)
+    np.testing.assert_allclose(gradient(shape, f), in_space(shape, f), atol=1e-12)
+    normals = tangent_gradient(shape).frames[:, 2]
+    np.testing.assert_allclose(
+        divergence(shape, vectors + 9 * normals), divergence(shape, vectors), atol=1e-9
+    )
+
+
+def test_divergence_of_linear_fields_on_a_plane_is_exact_inside():
+    flat = np.random.default_rng(1).random((300, 2))
+    sheet = TriangleMesh(np.c_[flat, 0 * flat[:, 0]], Delaunay(flat).simplices)
+    matrix = np.array([[1.0, 2, 0], [-3, 0.5, 0], [0, 0, 0]])
+    inside = np.setdiff1d(np.arange(300), sheet.boundary_vertices)
+    away = (np.abs(flat - 0.5) < 0.35).all(axis=1)
+    for unit in (1e-50, 1.0, 1e50):
+        shape = TriangleMesh(unit * sheet.points, sheet.faces)
+        found = divergence(shape, sheet.points @ matrix.T)[inside] * unit
+        np.testing.assert_allclose(found, 1.5, atol=1e-9)
+    cloud = divergence(sheet.as_cloud(), sheet.points @ matrix.T)
+    np.testing.assert_allclose(cloud[away], 1.5, atol=1e-9)
+
+
+@pytest.mark.parametrize("cloud", [False, True])
+def test_divergences_on_the_sphere_converge(cloud):
+    errors = []
+    for level in (2, 3, 4):
+        ball = sphere(subdivisions=level).geometry
+        x, y, z = ball.points.T
+        around = np.stack([-y, x, 0 * x], axis=1)  # has none
+        down = np.array([0, 0, 1.0]) - z[:, None] * ball.points  # of which it is -2 z
+        found = divergence(ball.as_cloud() if cloud else ball, down + 5 * around)
+        errors.append(np.sqrt(np.mean((found + 2 * z) ** 2)))
+    assert np.polyfit([2, 3, 4], np.log2(errors), 1)[0] < -0.9, errors
+
+
+def test_fields_of_another_shape_are_refused():
+    mesh = creature(600)
+    refused("values", "have shape (600,)", gradient, mesh, np.ones(5))
+    refused("vectors", "have shape (600, 3)", divergence, mesh, np.ones((600, 2)))
