@@ -236,7 +236,7 @@ class Laplacian(Rebuilt):
         """Return the same, of a right-hand side that users know by this name."""
         from spectra_kit.operators._held import solution
 
-        at = None if fixed is None else _as_indices("fixed", fixed, self.n)
+        at = None if fixed is None else as_indices("fixed", fixed, self.n)
         return solution(self, name, rhs, at, values)
 
     def restricted(self, indices: Ints) -> Laplacian:
