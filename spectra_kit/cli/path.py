@@ -108,7 +108,7 @@ def shortest_paths(asked: PathOptions) -> None:
         asked,
         asked.output,
         record,
-        f"{asked.file}: {quantity(mesh.n, 'vertex')}, {quantity(len(mesh.faces), 'face')}",
+        tables.size(asked.file, mesh),
         tables.align(rows),
         files=_NUMBERS,
         pictures=pictures,

@@ -23,6 +23,8 @@ COMMANDS = {
     "match": ("corresponding points", "match cat.off lion.off -o maps"),
     "geodesic": ("distances along it", "geodesic bunny.obj --source 7"),
     "path": ("shortest ways", "path bunny.obj --source 7 --to 100"),
+    "curvature": ("how it bends", "curvature bunny.obj"),
+    "smooth": ("a smoother one", "smooth scan.ply -o smooth.ply"),
     "similar": ("shapes like it", "similar cat.off animals"),
     "label": ("names, and parts", "label a.ply known.safetensors"),
     "batch": ("many spectra", "batch scans --out store"),
@@ -79,6 +81,7 @@ def load(name: str) -> tuple[type[Command], Callable[[Any], None]]:
         match_all,
         modes,
         path,
+        surface,
     )
 
     commands: dict[str, tuple[type[Command], Callable[[Any], None]]] = {
@@ -91,6 +94,8 @@ def load(name: str) -> tuple[type[Command], Callable[[Any], None]]:
         "match": (match.MatchOptions, match.match_shapes),
         "geodesic": (geodesic.GeodesicOptions, geodesic.geodesic_distances),
         "path": (path.PathOptions, path.shortest_paths),
+        "curvature": (surface.CurvatureOptions, surface.curvature),
+        "smooth": (surface.SmoothOptions, surface.smooth),
         "similar": (learn.SimilarOptions, learn.similar),
         "label": (learn.LabelOptions, learn.label),
         "batch": (batch.BatchOptions, batch.batch),

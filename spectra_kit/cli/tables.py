@@ -24,11 +24,16 @@ def kind(geometry: Geometry) -> str:
 
 def headline(name: str, geometry: Geometry, laplacian: sk.Laplacian) -> str:
     """What was solved, in two lines."""
-    return f"{name}: {_size(geometry)}\n" + (
+    return f"{size(name, geometry)}\n" + (
         f"{laplacian.operator}: area {laplacian.area:.6g},"
         f" {quantity(laplacian.n_components, 'component')}"
         + (f", {quantity(len(laplacian.fixed), 'fixed point')}" if len(laplacian.fixed) else "")
     )
+
+
+def size(name: str, geometry: Geometry) -> str:
+    """What it is and how large, in a line."""
+    return f"{name}: {_size(geometry)}"
 
 
 def page(asked: Any, geometry: Geometry, subtitle: str = "") -> sk.show.Page:

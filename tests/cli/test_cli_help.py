@@ -24,6 +24,8 @@ CHEAP = {  # what is not SMALL with four modes
     "explore": (*SMALL, "-k", "4", "--solver", "none", "-o", "page.html"),
     "geodesic": (*SMALL, "--no-pictures"),
     "path": (*SMALL, "--no-pictures"),
+    "curvature": (*SMALL, "--no-pictures"),
+    "smooth": SMALL,
     "match": ("a.off", "b.off", "-q", "--json", "-k", "30", "--no-pictures"),
     "similar": ("a.off", ".", "-q", "--json", "-k", "20"),
     "label": ("a.off", "known.safetensors", "-q", "--json"),
