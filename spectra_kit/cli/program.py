@@ -22,7 +22,7 @@ COMMANDS = {
     "explore": ("modes in the browser", "explore bunny.obj -o bunny.html"),
     "match": ("corresponding points", "match cat.off lion.off -o maps"),
     "geodesic": ("distances along it", "geodesic bunny.obj --source 7"),
-    "path": ("shortest ways", "path bunny.obj --source 7 --to 100"),
+    "path": ("shortest ways", "path cat.off --source 7 --to 90"),
     "curvature": ("how it bends", "curvature bunny.obj"),
     "smooth": ("a smoother one", "smooth scan.ply -o smooth.ply"),
     "similar": ("shapes like it", "similar cat.off animals"),
