@@ -38,6 +38,7 @@ STUDIES = {
     "many": "many",
     "device": "device",
     "explorer": "explorer",
+    "walking": "walking",
 }
 
 
