@@ -22,6 +22,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import igl
@@ -31,7 +32,7 @@ from scipy.stats import spearmanr
 
 from spectra_kit import TriangleMesh, read
 from spectra_kit._core.threads import thread_count
-from spectra_kit.errors import SpectraKitError
+from spectra_kit.errors import InvalidInputError, SpectraKitError
 from spectra_kit.geodesics import GeodesicPaths, VectorHeat, exact_distances
 from spectra_kit.neo.train.pool import open_pool
 from spectra_kit.operators import curvature
@@ -66,8 +67,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def measure(args: argparse.Namespace) -> None:
-    folder = data_folder("ood_public")
-    assert folder is not None
+    folder = _folder("ood_public")
     warnings.simplefilter("ignore")
     paths, vectors, bent = list[Record](), list[Record](), list[Record]()
     for name in args.models:
@@ -161,7 +161,7 @@ def _verbs(mesh: TriangleMesh) -> dict[tuple[str, str], Callable[[], bool]]:
 
     def their_path() -> bool:
         solver = pp3d.EdgeFlipGeodesicSolver(mesh.points, mesh.faces)
-        return _length(solver.find_geodesic_path(source, end)) <= _LONGER * truth[end]
+        return bool(_length(solver.find_geodesic_path(source, end)) <= _LONGER * truth[end])
 
     def transport() -> bool:
         return bool(np.isfinite(_carried(VectorHeat(mesh), source, given)[1][reached]).all())
@@ -178,9 +178,7 @@ def _verbs(mesh: TriangleMesh) -> dict[tuple[str, str], Callable[[], bool]]:
 
 
 def _dirty(count: int) -> Iterator[TriangleMesh]:
-    folder = data_folder("train_pool")
-    assert folder is not None
-    pool, found = open_pool(folder, "train"), 0
+    pool, found = open_pool(_folder("train_pool"), "train"), 0
     for i in np.random.default_rng(0).permutation(len(pool)):
         mesh = pool.mesh(int(i))
         clean = (mesh.unique_edges[1] == 2).all() and mesh.component_labels.max() == 0
@@ -189,6 +187,12 @@ def _dirty(count: int) -> Iterator[TriangleMesh]:
             found += 1
         if found == count:
             return
+
+
+def _folder(name: str) -> Path:
+    if (folder := data_folder(name)) is None:
+        raise InvalidInputError("SPECTRA_KIT_DATA", "name the folder of real shapes")
+    return folder
 
 
 def _with_vector(mesh: TriangleMesh) -> tuple[int, Any]:
