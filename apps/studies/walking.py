@@ -22,7 +22,6 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import igl
@@ -32,13 +31,13 @@ from scipy.stats import spearmanr
 
 from spectra_kit import TriangleMesh, read
 from spectra_kit._core.threads import thread_count
-from spectra_kit.errors import InvalidInputError, SpectraKitError
+from spectra_kit.errors import SpectraKitError
 from spectra_kit.geodesics import GeodesicPaths, VectorHeat, exact_distances
 from spectra_kit.neo.train.pool import open_pool
 from spectra_kit.operators import curvature
 from studies.machine import describe_machine
 from studies.report import Table, write_report
-from studies.shapes import data_folder
+from studies.shapes import given_folder
 from studies.store import Record
 
 _MODELS = ["amo", "armadillo", "boot", "bunny", "chinese_lion", "cow", "hammer", "hippo", "horse"]
@@ -67,7 +66,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def measure(args: argparse.Namespace) -> None:
-    folder = _folder("ood_public")
+    folder = given_folder(None, "ood_public")
     warnings.simplefilter("ignore")
     paths, vectors, bent = list[Record](), list[Record](), list[Record]()
     for name in args.models:
@@ -178,7 +177,7 @@ def _verbs(mesh: TriangleMesh) -> dict[tuple[str, str], Callable[[], bool]]:
 
 
 def _dirty(count: int) -> Iterator[TriangleMesh]:
-    pool, found = open_pool(_folder("train_pool"), "train"), 0
+    pool, found = open_pool(given_folder(None, "train_pool"), "train"), 0
     for i in np.random.default_rng(0).permutation(len(pool)):
         mesh = pool.mesh(int(i))
         clean = (mesh.unique_edges[1] == 2).all() and mesh.component_labels.max() == 0
@@ -187,12 +186,6 @@ def _dirty(count: int) -> Iterator[TriangleMesh]:
             found += 1
         if found == count:
             return
-
-
-def _folder(name: str) -> Path:
-    if (folder := data_folder(name)) is None:
-        raise InvalidInputError("SPECTRA_KIT_DATA", "name the folder of real shapes")
-    return folder
 
 
 def _with_vector(mesh: TriangleMesh) -> tuple[int, Any]:
