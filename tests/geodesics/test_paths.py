@@ -264,7 +264,7 @@ def test_they_refuse():
     refused("target", "be reached from a source", geodesic_path, two, 0, 100)
     refused("target", "be a vertex", GeodesicPaths(two, 0).to, FacePoint(0, (0.2, 0.3, 0.5)))
     refused("target", "be one of `targets`", GeodesicPaths(two, 0, targets=[3]).to, 4)
-    refused("targets", "lie on the surface", geodesic_path, LONE, 0, 64)
+    refused("target", "lie on the surface", geodesic_path, LONE, 0, 64)
     refused("source", "lie on the surface", logarithmic_map, LONE, 64)
     refused("direction", "have a part in the tangent plane", trace_geodesic, two, 0, [0, 0, 0])
     book = TriangleMesh(
