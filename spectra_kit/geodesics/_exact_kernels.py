@@ -22,6 +22,7 @@ from spectra_kit._core.types import Floats, Ints
 
 _TIE = 1e-10  # relative; two paths as long as each other must both go on
 _TOUCH = 1e-11  # of a side; a ray this near to a vertex meets it
+_SAME = 1e-9  # of a side; rays to an apex this near to each other are one line
 _THIN = 1e-14  # of a side; a window this narrow is none
 _IMPROVED = 1e-12  # relative; what is less does not send the paths from a vertex anew
 _ALONG = -2  # in place of what a path passed: it runs along a side
@@ -292,13 +293,14 @@ def _cross(soup: Soup, front: Front, t: int, w: Window, two_faces: bool) -> int:
             _note(front, soup.tails[left], t, w.v, w.passage, w.x, w.y)
         # Of the windows that see an apex, only the nearest sheds shortest paths on both sides of it
         # (Chen and Han); another does so on that side where it lies from the nearest. That holds
-        # for paths that cross, hence not for those that come from different faces of one edge.
+        # for paths that cross, hence not for those that come from different faces of one edge, or
+        # along one line: behind a vertex on it, each side has the part that passes there.
         if not two_faces or far <= split[t] * (1 + _TIE):
             if far < split[t]:
                 split[t], split_at[t] = far, at
-        elif at > split_at[t]:
+        elif at > split_at[t] + _SAME * length:
             goes_left = False
-        else:
+        elif at < split_at[t] - _SAME * length:
             goes_right = False
     count = 0
     if goes_left:
