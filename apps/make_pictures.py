@@ -187,6 +187,38 @@ def distance(studio: Studio) -> None:
     )
 
 
+def paths(studio: Studio) -> None:
+    """Shortest ways from the nose."""
+    from_nose = sk.geodesics.GeodesicPaths(studio.animal, studio.nose)
+    show.plot_curves(
+        studio.animal,
+        [from_nose.to(int(tip)) for tip in farthest_points(studio.exact, 10)],
+        path=studio.path("paths.png"),
+        page=show.Page("Shortest paths from the nose", dpi=studio.dpi),
+    )
+
+
+def vectors(studio: Studio) -> None:
+    """The field that turns least."""
+    show.plot_vectors(
+        studio.animal,
+        sk.geodesics.smoothest_field(studio.animal),
+        path=studio.path("vectors.png"),
+        page=show.Page("The smoothest field of tangent vectors", dpi=studio.dpi),
+    )
+
+
+def curvature(studio: Studio) -> None:
+    """How the animal bends."""
+    bent = sk.operators.curvature(studio.animal)
+    show.plot_fields(
+        studio.animal,
+        {"mean curvature": bent.mean, "Gaussian curvature": bent.gaussian},
+        path=studio.path("curvature.png"),
+        page=show.Page(dpi=studio.dpi),
+    )
+
+
 def match(studio: Studio) -> None:
     """A map between two poses."""
     source, target, found = studio.pair
@@ -345,6 +377,9 @@ PICTURES: dict[str, Callable[[Studio], None]] = {
         spectrum,
         signatures,
         distance,
+        paths,
+        vectors,
+        curvature,
         match,
         animation,
         real_modes,
