@@ -46,7 +46,7 @@ class PathOptions(options.OneFile, _Ends, options.FolderDrawing):
     """Find exact shortest paths along a mesh, and draw them."""
 
     examples = (
-        "path bunny.obj --source 7 --to 100",
+        "path cat.off --source 7 --to 90",
         "path bunny.obj --at 0.1 0.2 0.0 --to 5 6 7 -o ways",
         f"path {options.DEMO}",
     )

@@ -118,9 +118,11 @@ class GeodesicPaths:
 
     Notes
     -----
-    Exact: paths are straight lines over the unfolded triangles, and bend where `exact_distances`
-    says. Each vertex knows through which edge its path came, and where in the plane it bent last; a
-    straight walk there finds the edges between. Of several that are as short, one is returned.
+    Exact, but that points of faces within 1e-6 of a corner or a side, in barycentric coordinates,
+    are put there. Paths are straight lines over the unfolded triangles, and bend where
+    `exact_distances` says. Each vertex knows through which edge its path came, and where in the
+    plane it bent last; a straight walk there finds the edges between. Of several that are as short,
+    one is returned.
 
     potpourri3d and pygeodesic have paths on manifold meshes of one winding.
 
@@ -162,6 +164,10 @@ class GeodesicPaths:
         """Return the shortest path from the nearest source to a vertex, or another of `targets`."""
         split, distances = self._split, self._known.distances
         end = self._places.get(target)
+        if end is None and isinstance(target, FacePoint) and max(target.barycentric) == 1:
+            points_named("target", target, self.mesh)
+            target = int(self.mesh.faces[target.face, int(np.argmax(target.barycentric))])
+            end = self._places.get(target)
         if end is None:
             named = points_named("target", target, self.mesh)[0]
             if isinstance(named, FacePoint) or not self._all:

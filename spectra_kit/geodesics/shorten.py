@@ -28,13 +28,14 @@ def shortened_path(mesh: TriangleMesh, vertices: ArrayLike, *, closed: bool = Fa
         What the path passes, one after the other; in between it takes the shortest way along
         edges. Two or more; three or more if it is closed.
     closed : bool, default False
-        Go on from the last to the first: a loop, with no ends. The first point of the result is
-        its last again.
+        Go on from the last to the first, which may be named again: a loop, with no ends. The
+        first point of the result is its last again.
 
     Returns
     -------
     SurfacePath
-        Locally shortest: no small change makes it shorter.
+        Locally shortest: no small change makes it shorter. A loop that winds around nothing
+        becomes an edge, walked there and back.
 
     See Also
     --------
@@ -62,6 +63,8 @@ def shortened_path(mesh: TriangleMesh, vertices: ArrayLike, *, closed: bool = Fa
 
     chain = check_indices("vertices", vertices, mesh.n)
     least = 3 if closed else 2
+    if closed and chain.ndim == 1 and len(chain) > least and chain[0] == chain[-1]:
+        chain = chain[:-1]  # said twice
     if chain.ndim != 1 or len(chain) < least or (np.diff(chain) == 0).any():
         raise InvalidInputError(
             "vertices",
@@ -80,8 +83,9 @@ def shortened_path(mesh: TriangleMesh, vertices: ArrayLike, *, closed: bool = Fa
     find = solver.find_geodesic_loop if closed else solver.find_geodesic_path_poly
     line = np.asarray(find(chain.tolist()))
     middles = (line[1:] + line[:-1]) / 2
-    _, face, _ = igl.point_mesh_squared_distance(middles, points, faces)
-    held = np.append(face, face[-1])
+    part = np.flatnonzero(mesh.component_labels[faces[:, 0]] == labels[0])
+    _, face, _ = igl.point_mesh_squared_distance(middles, points, faces[part])
+    held = part[np.append(face, face[-1])]
     corners = [np.ascontiguousarray(points[faces[held, c]]) for c in range(3)]
     weights = np.maximum(igl.barycentric_coordinates(line, *corners), 0.0)
     return SurfacePath(line * unit, held, weights / weights.sum(axis=1, keepdims=True))

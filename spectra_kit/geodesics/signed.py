@@ -20,6 +20,8 @@ from spectra_kit.operators.connection import unit_vectors
 from spectra_kit.operators.tangent import outward
 from spectra_kit.operators.triangle_calculus import opposite_cotangents
 
+_CANCELLED = 1e-9  # of a step along a curve
+
 
 @checked
 def signed_distance(geometry: Geometry, curves: ArrayLike | Sequence[ArrayLike]) -> Floats:
@@ -72,6 +74,10 @@ def signed_distance(geometry: Geometry, curves: ArrayLike | Sequence[ArrayLike])
         for end in (chain[:-1], chain[1:]):
             np.add.at(put, end, np.cross(steps, normals[end]) / 2)
     heated = np.einsum("nra,na->nr", axes[:, :2], put)
+    if not np.abs(heated).max() > _CANCELLED * np.abs(np.diff(points[chains[0]], axis=0)).max():
+        raise InvalidInputError(
+            "curves", "have a left and a right", "some that are walked there and back"
+        )
     vectors = np.nan_to_num(heat._directions(heated.reshape(-1, 1))[0])
     # The rise along each side, by the vectors at both its ends.
     i = triangulation.corners.astype(np.int64).ravel()

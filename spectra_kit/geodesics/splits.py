@@ -11,7 +11,9 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit.geodesics.sources import FacePoint
 from spectra_kit.geometry import TriangleMesh
 
-_AT = 1e-12  # barycentric: this near to a corner or a side, a point lies on it
+# Barycentric: this near to a corner or a side, a point is put on it. Thinner triangles than that
+# would bend paths.
+_AT = 1e-6
 
 
 class Split(NamedTuple):

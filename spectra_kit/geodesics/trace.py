@@ -354,7 +354,7 @@ def _traced(soup: Soup, fan: Fan, angle: float, length: float) -> tuple[Ints, Fl
             faces, ends = _buffers(room)
             count, how, met, rx, ry = trace(surface, side // 3, side % 3, x, y, faces, ends)
             room *= 2 if how == NO_ROOM else 1
-        parts.append((faces[:count], ends[:count]))
+        parts.append((faces[:count].copy(), ends[:count].copy()))  # not the room around them
         length = 0.0 if how == THERE else float(np.hypot(rx, ry))
         if how != CORNER or length <= _ROUNDING * whole:
             break

@@ -39,6 +39,10 @@ def solution(
     if fixed is not None and (at.ndim != 1 or len(np.unique(at)) < max(at.size, 1)):
         raise InvalidInputError("fixed", "be a vector of points, each once", f"shape {at.shape}")
     given = real_array("values", 0.0 if values is None else values)
+    if not given.size and at.size:
+        raise InvalidInputError(
+            "values", f"be a number or have shape ({len(at)}, ...)", given.shape
+        )
     shape = (laplacian.n, *given.shape[1:2])
     b = np.zeros(shape) if rhs is None else columns(name, rhs, laplacian.n)
     expected = (len(at), *b.shape[1:])
@@ -77,10 +81,13 @@ def _rows(values: Floats) -> Floats:
 def kept(laplacian: Laplacian, kind: Callable[[Laplacian, Any], Made], key: Any) -> Made:
     """Return what was made with this key the last time, or make it: one of each kind is kept."""
     slot, place = f"_{kind.__name__}", vars(laplacian)
-    if slot in place and np.array_equal(place[slot][0], key):
-        return place[slot][1]  # type: ignore[no-any-return]
+    before = place.get(slot)  # once: other threads may put theirs there
+    if before is not None and np.array_equal(before[0], key):
+        return before[1]  # type: ignore[no-any-return]
+    del before
     place.pop(slot, None)  # there may not be room for two
-    place[slot] = key, (made := kind(laplacian, key))
+    made = kind(laplacian, key)
+    place[slot] = key, made
     return made
 
 

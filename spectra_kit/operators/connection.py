@@ -24,8 +24,8 @@ from spectra_kit.operators.tangent import check_area_at_all
 
 _FLAT = 1e-8  # sine of a corner below which its triangle has no normal
 _CANCEL = 1e-6  # share of a sum of normals that is left where sheets lie back to back
-# Cosine between normals of neighbours below which their sides disagree. Those of a regular
-# tetrahedron, the coarsest of closed surfaces, have -1/3; across a seam of sides it is near -1.
+# Cosine between normals of neighbours below which their sides disagree on a mesh of one side: those
+# of a regular tetrahedron, the coarsest of closed surfaces, have -1/3.
 _SEAM = -0.5
 
 
@@ -108,13 +108,7 @@ def tangent_frames(geometry: Geometry, *, n_neighbors: int = 30) -> TangentFrame
     doubtful, corners = np.zeros(n, dtype=bool), [0, 1, 2]
     if isinstance(geometry, TriangleMesh):
         check_faces_usable(geometry)
-        turned, clashes = wound_against(geometry)
-        faces = turn(geometry.faces, turned)
-        edges, counts = geometry.unique_edges
-        doubtful[edges[counts > 2]] = True
-        if clashes:
-            sides = sides_of(faces, n)
-            doubtful[sides.edges[sides.clash]] = True
+        faces, doubtful, _ = _agreed(geometry)
     else:
         n_neighbors = check_cloud_usable(geometry, n_neighbors)
         faces = local_triangles(points, n_neighbors)[0].astype(np.int64)
@@ -185,7 +179,10 @@ def laplacian_along(
     plain = triangulation.laplacian
     upper = sparse.coo_array(sparse.triu(plain.stiffness, 1))
     i, j = upper.row.astype(np.int64), upper.col.astype(np.int64)
-    seam = _SEAM if isinstance(geometry, TriangleMesh) else 0.0
+    seam: float | Floats = 0.0
+    if isinstance(geometry, TriangleMesh):  # where sides are known, vectors turn at any fold
+        _, doubtful, clashes = _agreed(geometry)
+        seam = np.where(doubtful[i] | doubtful[j], 0.0, _SEAM if clashes else -np.inf)
     blocks = upper.data[:, None, None] * _carried(frames.axes, i, j, seam)
     rows = np.broadcast_to((2 * i[:, None] + [0, 1])[:, :, None], blocks.shape)
     columns = np.broadcast_to((2 * j[:, None] + [0, 1])[:, None, :], blocks.shape)
@@ -206,7 +203,22 @@ def unit_vectors(vectors: Floats) -> Floats:
     return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0))
 
 
-def _carried(axes: Floats, i: Ints, j: Ints, seam: float) -> Floats:
+def _agreed(mesh: TriangleMesh) -> tuple[Ints, Bools, bool]:
+    """Return faces wound alike where they can be; points where they cannot; whether there are any.
+
+    Points on edges of more than two faces are among those, which have no side either.
+    """
+    turned, clashes = wound_against(mesh)
+    faces, doubtful = turn(mesh.faces, turned), np.zeros(mesh.n, dtype=bool)
+    edges, counts = mesh.unique_edges
+    doubtful[edges[counts > 2]] = True
+    if clashes:
+        sides = sides_of(faces, mesh.n)
+        doubtful[sides.edges[sides.clash]] = True
+    return faces, doubtful, bool(clashes)
+
+
+def _carried(axes: Floats, i: Ints, j: Ints, seam: float | Floats) -> Floats:
     """Return the orthogonal 2x2 blocks (e, 2, 2) that take vectors at j to i.
 
     Of the cosines between axes, that is the nearest rotation, or the nearest reflection where

@@ -23,6 +23,8 @@ _REACH = 3.0  # spacings of the points: some 30 neighbours where they are even
 # Area vectors around a point sum to at least that share of their lengths: where they all but
 # cancel, as at the tip of a needle or the rim of a foil, no plane is tangent.
 _CANCELLED = 0.1
+# Curvature times scale at which it is off by a third, as on a sphere or a torus: squared.
+_COARSE = 2.0
 _AGREE = 0.9  # share of the triangles of a cloud that agree on the side, below which it is in doubt
 _WHY = (  # there is none, by the codes of failures from 1 on
     "with fewer than five neighbours, or all on a curve",
@@ -118,7 +120,8 @@ def curvature(geometry: Geometry, *, scale: float | None = None) -> Curvature:
     DoubtfulCurvatureWarning
         If it is not known at some points, and NaN there: at non-manifold vertices, where the
         normals of the faces around cancel, or with fewer than five neighbours within the scale, or
-        all on a curve. Or if triangles of a cloud do not agree on the side that is out.
+        all on a curve. If more than half of the points bend so much within the scale that it is off
+        by about a third or more. Or if triangles of a cloud do not agree on the side that is out.
 
     Notes
     -----
@@ -166,6 +169,15 @@ def curvature(geometry: Geometry, *, scale: float | None = None) -> Curvature:
     in_threads(fit_quadrics, ((*given, *out, *cut) for cut in shares(n)))
     if failures.any():
         _tell_of(failures, scale)
+    largest = np.abs(principal).max(axis=1)
+    coarse = float(np.mean((reach * largest)[failures == 0] > _COARSE))
+    if coarse > 1 / 2:
+        warn(
+            f"at {coarse:.0%} of the points the surface bends so much within the scale that"
+            " curvature is off by about a third or more",
+            DoubtfulCurvatureWarning,
+            advice="take a finer geometry" if scale is None else "lower `scale`",
+        )
     return Curvature(principal / units[:, None], directions, normals, reach * units)
 
 

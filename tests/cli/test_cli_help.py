@@ -24,7 +24,7 @@ CHEAP = {  # what is not SMALL with four modes
     "explore": (*SMALL, "-k", "4", "--solver", "none", "-o", "page.html"),
     "geodesic": (*SMALL, "--no-pictures"),
     "path": (*SMALL, "--no-pictures"),
-    "curvature": ("demo", "--points", "2000", "--no-pictures", "-q", "--json"),
+    "curvature": ("demo", "--points", "8000", "--no-pictures", "-q", "--json"),
     "smooth": SMALL,
     "match": ("a.off", "b.off", "-q", "--json", "-k", "30", "--no-pictures"),
     "similar": ("a.off", ".", "-q", "--json", "-k", "20"),

@@ -121,6 +121,18 @@ def test_they_are_those_of_libigl():
         np.testing.assert_allclose(exact_distances(mesh, sources), truth, rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.parametrize("seed", [0, 2, 5])
+def test_where_rays_run_through_vertices_they_are_those_of_libigl(seed):
+    height = np.kron(np.random.default_rng(seed).integers(0, 4, (8, 8)), np.ones((2, 2)))
+    i, j = np.indices(height.shape)
+    corner = np.flatnonzero(((i < 15) & (j < 15)).ravel())[:, None]
+    faces = np.vstack([corner + [0, 16, 17], corner + [0, 17, 1]])
+    blocks = TriangleMesh(np.column_stack([i.ravel(), j.ravel(), height.ravel()]), faces)
+    for source in range(0, blocks.n, 11):
+        truth = by_libigl(blocks, source)
+        np.testing.assert_allclose(exact_distances(blocks, source), truth, rtol=1e-10, atol=1e-12)
+
+
 def test_they_do_not_depend_on_direction_order_winding_or_unit():
     mesh, rng = creature(500, seed=1), np.random.default_rng(0)
     pairs = rng.choice(mesh.n, 6, replace=False)

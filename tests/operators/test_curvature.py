@@ -377,8 +377,8 @@ def test_a_cloud_whose_sheets_are_confused_is_told():
 
 
 def test_records_are_read_only_and_of_one_length():
-    found = curvature(creature(600))
-    assert found.n == 600
+    found = curvature(creature(2000))
+    assert found.n == 2000
     np.testing.assert_allclose(found.mean, found.principal.sum(axis=1) / 2)
     np.testing.assert_allclose(found.gaussian, found.principal[:, 0] * found.principal[:, 1])
     assert (found.principal[:, 0] >= found.principal[:, 1]).all()
