@@ -184,7 +184,8 @@ def logarithmic_map(geometry: Geometry, source: int | FacePoint) -> LogarithmicM
         Coordinates (n, 2). Those of a mesh are exact, of the shortest paths: they jump where two
         of these are as short; beyond vertices with more than a full turn of angles, and beyond
         holes, all that is behind lies in one direction. Those of a cloud are by heat, as is
-        `VectorHeat.logarithm`, which large meshes may take too.
+        `VectorHeat.logarithm`, which large meshes may take too; far away they fall short, on a unit
+        sphere by 3 % at distances of 2 to 2.8, by a third beyond.
 
     Warns
     -----

@@ -112,6 +112,6 @@ def test_as_potpourri3d_on_a_manifold_mesh():
 
 def test_curves_that_are_none_are_refused():
     ball = sphere(subdivisions=2).geometry
-    for curve in ([3], [3, 3], [[0, 1], [4]], [0, 999], [0.5, 1.5], []):
+    for curve in ([3], [3, 3], [[0, 1], [4]], [0, 999], [0.5, 1.5], [], [0, 12, 0]):
         with pytest.raises(InvalidInputError, match="curves"):
             signed_distance(ball, curve)

@@ -166,3 +166,16 @@ def test_what_has_no_plane_is_refused():
         connection_laplacian(PointCloud([[0, 0, 0], [1, 0, 0], [0, 1, 0]]))
     with pytest.raises(InvalidInputError, match="shape"):
         tangent_frames(torus(n=200).geometry).vectors(np.ones(3))
+
+
+def test_sharp_edges_turn_vectors_and_reflect_none():
+    """A rod of three sides with a sharp edge has two sides of its surface all over."""
+    section = np.array([[0, 0], [0.3, 1.0], [-0.3, 1.0]])
+    n = 20
+    points = np.array([[x, y, z] for z in np.linspace(0, 6, n) for x, y in section])
+    a = (3 * np.arange(n - 1)[:, None] + np.arange(3)).ravel()
+    b = (3 * np.arange(n - 1)[:, None] + (np.arange(3) + 1) % 3).ravel()
+    sides = np.vstack([np.column_stack([a, b + 3, b]), np.column_stack([a, a + 3, b + 3])])
+    rod = TriangleMesh(points, np.vstack([sides, [[0, 1, 2], [3 * n - 1, 3 * n - 2, 3 * n - 3]]]))
+    found = eigensolve(connection_laplacian(rod), 12).eigenvalues
+    np.testing.assert_allclose(found[::2], found[1::2], rtol=1e-9)

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -312,3 +313,17 @@ def test_want_of_memory_is_told() -> None:
     )
     told = "the factor of 27000 unknowns does not fit into memory; take a coarser geometry\n"
     assert done.stdout == told, done.stderr
+
+
+def test_threads_that_hold_other_points_get_their_own_answers():
+    laplacian = delaunay_laplacian(rectangle(n=60).geometry)
+    x = laplacian.points[:, 0]
+    held = [np.arange(i, laplacian.n, 5) for i in range(5)]
+    alone = [laplacian.solve(fixed=at, values=x[at]) for at in held]
+    with ThreadPoolExecutor(8) as pool:
+        asked = [
+            pool.submit(laplacian.solve, fixed=held[i % 5], values=x[held[i % 5]])
+            for i in range(400)
+        ]
+        for i, one in enumerate(asked):
+            np.testing.assert_array_equal(one.result(), alone[i % 5])
