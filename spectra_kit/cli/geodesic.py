@@ -1,6 +1,5 @@
 """Geodesic distances: numbers, a coloured mesh, a report, and pictures."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast
@@ -9,7 +8,6 @@ import numpy as np
 from cyclopts import Parameter
 
 import spectra_kit as sk
-from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, check_indices, check_positive, quantity
 from spectra_kit.cli import options, solving, tables
 from spectra_kit.cli.geodesic_compare import (
@@ -110,6 +108,7 @@ class GeodesicOptions(options.OneFile, options.Spared, _Sources, _Heat, options.
 def geodesic_distances(asked: GeodesicOptions) -> None:
     """Measure distances, write them with a report and pictures into one folder."""
     from spectra_kit.geodesics.distance import exact_field
+    from spectra_kit.geodesics.farthest import with_farthest
 
     if check_positive("--poisson-rtol", asked.poisson_rtol) >= 1:
         raise InvalidInputError("--poisson-rtol", "be less than 1", asked.poisson_rtol)
@@ -396,22 +395,3 @@ def named_sources(asked: GeodesicOptions, geometry: "Geometry", kept: Numbering)
     found: list[Source] = points.tolist()
     found += [sk.geodesics.nearest_source(geometry, place) for place in asked.at]
     return found + [sk.geodesics.FacePoint(int(face), (a, b, c)) for face, a, b, c in asked.face]
-
-
-def with_farthest(
-    sources: "list[Source]", count: int, distance: Callable[["list[Source]"], Floats]
-) -> "list[Source]":
-    """Add `count` points, each the farthest from all before it; in a part not reached, its first.
-
-    Without sources the first is the farthest from point 0, which is none itself.
-    """
-    if count and not sources:
-        first = int(np.argmax(distance([0])))
-        return with_farthest([first], count - 1, distance)
-    chosen, latest = list(sources), list(sources)
-    nearest: Floats = np.array(np.inf)
-    for _ in range(count):
-        nearest = np.minimum(nearest, distance(latest))
-        latest = [int(np.argmax(nearest))]
-        chosen += latest
-    return chosen

@@ -3,6 +3,7 @@
 from spectra_kit.geodesics.distance import geodesic_distance
 from spectra_kit.geodesics.edges import edge_graph, pair_distances
 from spectra_kit.geodesics.exact import exact_distances
+from spectra_kit.geodesics.farthest import farthest_point_sampling
 from spectra_kit.geodesics.heat import HeatGeodesics
 from spectra_kit.geodesics.heat_step import Heat
 from spectra_kit.geodesics.matrix import distance_matrix
@@ -38,6 +39,7 @@ __all__ = [
     "distance_matrix",
     "edge_graph",
     "exact_distances",
+    "farthest_point_sampling",
     "geodesic_distance",
     "geodesic_path",
     "logarithmic_map",

@@ -3,7 +3,7 @@
 import igl
 import numpy as np
 import pytest
-from conftest import bumpy, creature, joined, moebius, refused
+from conftest import bumpy, creature, joined, moebius, moved, refused
 from geodesic_truths import by_libigl, cube
 from test_exact_distances import LONE, square
 
@@ -12,6 +12,7 @@ from spectra_kit.geodesics import (
     FacePoint,
     GeodesicPaths,
     exact_distances,
+    farthest_point_sampling,
     geodesic_path,
     logarithmic_map,
     nearest_source,
@@ -260,6 +261,23 @@ def test_loops_settle_on_the_inner_equator():
 def test_a_direct_way_becomes_the_shortest():
     ball = sphere(subdivisions=3).geometry
     np.testing.assert_allclose(shortened_path(ball, [0, 77]).length, exact_distances(ball, 0)[77])
+
+
+# --- farthest points ---
+
+
+def test_farthest_points_cover_a_surface_as_gonzalez_says():
+    ball = sphere(subdivisions=3).geometry
+    some = farthest_point_sampling(ball, 20, start=3)
+    assert some[0] == 3
+    assert len(set(some.tolist())) == 20
+    radii = [exact_distances(ball, some[:k]).max() for k in range(1, 21)]
+    assert (np.diff(radii) <= 0).all()
+    for k, radius in enumerate(radii[:-1], start=1):  # the next is the farthest
+        assert exact_distances(ball, some[:k])[some[k]] == pytest.approx(radius)
+    two = joined(ball, moved(ball, 5.0, 0.0, 0.0))
+    assert (farthest_point_sampling(two, 2, start=0) >= [0, ball.n]).all()
+    assert len(farthest_point_sampling(ball.as_cloud(), 5)) == 5
 
 
 # --- refusals ---
