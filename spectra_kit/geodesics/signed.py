@@ -60,8 +60,8 @@ def signed_distance(geometry: Geometry, curves: ArrayLike | Sequence[ArrayLike])
     >>> east = np.flatnonzero(abs(z) < 1e-9)
     >>> east = east[np.argsort(np.arctan2(y, x)[east])]
     >>> distance = sk.geodesics.signed_distance(ball, [*east, east[0]])
-    >>> distance[np.argmax(z)].round(1)
-    -1.6
+    >>> bool(abs(distance[np.argmax(z)] + np.pi / 2) < 0.05)
+    True
     """
     chains = _check_curves(curves, geometry.n)
     heat = VectorHeat(geometry)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from spectra_kit.geodesics._exact_kernels import Soup
 
 _ROOM = 1024  # segments of a path to begin with
+_MOST = 2**22  # segments that are a path, and not a length in another unit
 _ROUNDING = 1e-12  # of a length
 
 
@@ -352,6 +353,13 @@ def _traced(soup: Soup, fan: Fan, angle: float, length: float) -> tuple[Ints, Fl
         x, y = ox + cos * ax - sin * ay, oy + cos * ay + sin * ax
         how = NO_ROOM
         while how == NO_ROOM:
+            if room > _MOST:
+                raise InvalidInputError(
+                    "length",
+                    f"cross fewer than {_MOST} edges",
+                    f"{whole:.3g} times the extent of the surface",
+                    advice="is the unit the same?",
+                )
             faces, ends = _buffers(room)
             count, how, met, rx, ry = trace(surface, side // 3, side % 3, x, y, faces, ends)
             room *= 2 if how == NO_ROOM else 1

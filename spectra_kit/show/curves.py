@@ -67,6 +67,8 @@ def plot_curves(
         check_points("curves", one.points if isinstance(one, SurfacePath) else one)
         for one in curves
     ]
+    if not lines:
+        raise InvalidInputError("curves", "hold at least one curve", "none")
     if marks is None:
         open_ones = [line for line in lines if (line[0] != line[-1]).any()]
         marks = np.unique([line[i] for line in open_ones for i in (0, -1)], axis=0)

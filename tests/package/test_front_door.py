@@ -145,7 +145,7 @@ def test_swapped_arguments_are_told_before_a_path_is_read() -> None:
     [
         ("spectum", "did you mean sk.spectrum"),
         ("heat_geodesics", "did you mean sk.HeatGeodesics"),
-        ("curvature", r"dir\(spectra_kit\) lists what it has"),
+        ("viscosity", r"dir\(spectra_kit\) lists what it has"),
     ],
 )
 def test_a_name_that_is_not_there_comes_with_one_that_is(name, hint) -> None:

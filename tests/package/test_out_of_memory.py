@@ -51,7 +51,7 @@ except OutOfMemoryError as error:
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="counts memory as Linux does")
 def test_components_solved_before_are_kept() -> None:
     done = subprocess.run(
-        [sys.executable, "-c", STARVED, "80"], capture_output=True, text=True, check=False
+        [sys.executable, "-c", STARVED, "50"], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     record = json.loads(done.stdout)

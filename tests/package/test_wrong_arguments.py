@@ -328,7 +328,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("columns_named rows_named", ["a"]),
         ("runs", [run]),
         ("marks", {"day": 3.0}),
-        ("plot_distance.sources", [[0.0, 0.0, 1.0]]),
+        ("plot_distance.sources plot_curves.marks", [[0.0, 0.0, 1.0]]),
         ("plot_fields.symmetric", True),
         # Numbers, words and functions, where those of `USUAL` are no good.
         ("MapErrors.at_points.n", n),
@@ -340,7 +340,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("k_start zoomout_many.k_final", 10),
         ("creature.n_points creature_pair.n_source n_target", 520),
         ("dimension iterations", 2),
-        ("farthest_points.start", 0),
+        ("farthest_points.start farthest_point_sampling.start", 0),
         ("wave_kernel_signature.width quantisation", 0.2),
         ("low", 0.0),
         ("limit", 5.0),
