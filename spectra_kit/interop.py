@@ -13,22 +13,20 @@ or the point map alone.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import linalg, sparse
+from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats
-from spectra_kit._core.validate import as_array, check_mass, quantity
-from spectra_kit._core.warn import warn
+from spectra_kit._core.validate import as_array, check_mass
 from spectra_kit.eigen import Provenance, Spectrum
-from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.maps.convert import check_functional_map
-from spectra_kit.operators.laplacian import Laplacian, lumped_diagonal
+from spectra_kit.operators.laplacian import Laplacian, split_mass
 from spectra_kit.operators.tangent import TangentGradient
 
 if TYPE_CHECKING:
@@ -111,18 +109,6 @@ def from_arrays(
     Spectrum
         Without a certificate; ``.certify(laplacian)`` adds one.
 
-    Warns
-    -----
-    IgnoredContentWarning
-        If the mass is not diagonal: what comes back is of its row sums.
-
-    Notes
-    -----
-    Modes of a full mass M are not orthonormal in its row sums D. As ``U.T @ L @ U`` is the diagonal
-    of their eigenvalues, the Ritz pairs of ``L u = lambda D u`` within their span need no L: they
-    solve a (k, k) problem with ``U.T @ D @ U``. These are what is returned. They lie below the
-    given ones, as D is larger than M, and above those of D, by the square of what the span lacks.
-
     Examples
     --------
     >>> import numpy as np
@@ -134,8 +120,7 @@ def from_arrays(
     if np.ndim(eigenvectors) != 2 or not np.size(eigenvectors):
         raise InvalidInputError("eigenvectors", "have shape (n, k)", np.shape(eigenvectors))
     vectors = np.asarray(eigenvectors, dtype=np.float64)
-    matrix = _not_diagonal(mass)
-    lumped = lumped_diagonal(mass) if matrix is None else _row_sums(matrix, len(vectors))
+    lumped, matrix = split_mass("mass", mass, len(vectors))
     diagonal = check_mass("mass", lumped, len(vectors))
     floor = -_NEGATIVE * 4 * np.pi / diagonal.sum()
     if values.size and values.min() < floor:
@@ -148,14 +133,10 @@ def from_arrays(
     spectrum = Spectrum(
         np.maximum(values, 0.0),
         vectors,
-        diagonal,
+        diagonal if matrix is None else matrix,
         provenance=Provenance(solver=solver, name="" if solver == "user" else solver.lower()),
     )
-    if matrix is None:
-        error = spectrum.orthonormality_error()
-    else:
-        error = float(np.abs(vectors.T @ (matrix @ vectors) - np.eye(spectrum.k)).max())
-    if error > _ORTHONORMAL:
+    if (error := spectrum.orthonormality_error()) > _ORTHONORMAL:
         raise InvalidInputError(
             "eigenvectors",
             "be M-orthonormal",
@@ -163,49 +144,7 @@ def from_arrays(
             advice="is `mass` the one they were computed with, in the same unit? That of finite"
             " elements is a matrix, not its row sums: pass it whole",
         )
-    return spectrum if matrix is None else _lumped(spectrum)
-
-
-def _not_diagonal(mass: Any) -> sparse.csr_array | None:
-    """Return a mass matrix that has entries beside its diagonal; None of anything else."""
-    if not sparse.issparse(mass):
-        mass = np.asarray(mass)
-        if mass.ndim != 2 or mass.shape[1] == 1:
-            return None
-    matrix = sparse.csr_array(mass, dtype=np.float64)
-    off = matrix - sparse.diags_array(matrix.diagonal(), shape=matrix.shape)
-    return matrix if off.count_nonzero() else None
-
-
-def _row_sums(mass: sparse.csr_array, n: int) -> Floats:
-    if mass.shape != (n, n):
-        raise InvalidInputError("mass", f"have shape ({n},) or ({n}, {n})", mass.shape)
-    sums: Floats = mass.sum(axis=1)
-    if not (sums > 0).all():
-        raise InvalidInputError(
-            "mass",
-            "have positive row sums, which modes are carried over to",
-            f"{quantity((~(sums > 0)).sum(), 'row')} whose sum is not",
-            advice="modes of linear elements have; those of higher order are not taken",
-        )
-    return sums
-
-
-def _lumped(spectrum: Spectrum) -> Spectrum:
-    """Return the Ritz pairs in the mass of the spectrum, of modes orthonormal in another."""
-    values, vectors = spectrum.eigenvalues, spectrum.eigenvectors
-    gram = vectors.T @ (spectrum.mass[:, None] * vectors)
-    ritz, within = linalg.eigh(np.diag(values), gram)
-    ritz = np.maximum(ritz, 0.0)
-    within = within * np.where(np.diag(within) < 0, -1, 1)  # with the signs that they had
-    moved = np.abs(ritz - values).max() / max(values.max(), np.finfo(float).tiny)
-    warn(
-        "`mass` has entries beside its diagonal, which are passed over: the modes were carried over"
-        f" to its row sums, which moves eigenvalues by up to {moved:.1%} of the largest",
-        IgnoredContentWarning,
-        advice="solve with a lumped mass, as LaPy's Solver(mesh, lump=True)",
-    )
-    return replace(spectrum, eigenvalues=ritz, eigenvectors=vectors @ within)
+    return spectrum
 
 
 @checked
@@ -270,9 +209,10 @@ def to_pyfm(spectrum: Spectrum, laplacian: Laplacian) -> PyfmArrays:
         ``stiffness`` and ``mass`` (sparse, (n, n)), ``eigenvalues`` (k,), ``eigenvectors`` (n, k).
     """
     _check_pair(spectrum, laplacian)
+    M = spectrum.consistent_mass
     return PyfmArrays(
         stiffness=sparse.csc_matrix(laplacian.stiffness),
-        mass=sparse.diags(spectrum.mass),
+        mass=sparse.diags(spectrum.mass) if M is None else sparse.csc_matrix(M),
         eigenvalues=np.array(spectrum.eigenvalues),
         eigenvectors=np.array(spectrum.eigenvectors),
     )

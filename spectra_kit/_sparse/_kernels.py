@@ -56,6 +56,19 @@ def multiply_rows(
 
 
 @compiled()
+def multiply_long(
+    indptr: Ints, columns: Ints, values: Reals, X: Reals, out: Reals, start: int, stop: int
+) -> None:
+    """Write columns `start` to `stop` of X A^T, of long rows X, to those of `out`."""
+    for i in range(start, stop):
+        for r in range(len(X)):
+            total = values.dtype.type(0)
+            for p in range(indptr[i], indptr[i + 1]):
+                total += values[p] * X[r, columns[p]]
+            out[r, i] = total
+
+
+@compiled()
 def chebyshev_step(
     solved: Singles,
     correction: Singles,

@@ -51,6 +51,9 @@ class BlockLanczos:
     block Lanczos algorithm*, 1994). A `loose` space is for residuals above 1e-6. Vectors are rows
     here, whose products with a block are twice as fast; no bit of a sum depends on the number of
     threads.
+
+    Where ``A M`` is symmetric in the inner product of an M, so is all of this: `weighed` takes rows
+    x to M x, and the operator columns M x to A M x.
     """
 
     def __init__(
@@ -62,8 +65,10 @@ class BlockLanczos:
         most: int,
         seed: int,
         loose: bool = False,
+        weighed: Callable[[Floats], Floats] | None = None,
     ) -> None:
         self._operator, self._block, self._cuts = operator, block, ranges(n, _CACHED)
+        self._weighed = weighed
         self._loose, self._apart = loose, _SEMI_LOOSE if loose else _SEMI
         self.size = 0  # vectors whose images are known; one more block is there
         self._basis = np.empty((most + block, n))
@@ -73,6 +78,11 @@ class BlockLanczos:
         for _ in range(_POWERS):
             self._input = np.linalg.qr(operator(self._input))[0]
         self._basis[:block] = self._input.T
+        if weighed is not None:
+            self._images = np.empty((3 * block, n))  # M times the last two blocks, and the new one
+            self._orthonormalise(self._basis[:block])
+            self._images[block : 2 * block] = weighed(self._basis[:block])
+            self._input = np.ascontiguousarray(self._images[block : 2 * block].T)
         self._norm, self._new = 0.0, 0.0  # of the operator there, and least of the last block
         self._loss = _ROUNDED  # of orthogonality of the last block, at most
 
@@ -85,11 +95,15 @@ class BlockLanczos:
         block, size, end = self._block, self.size, self.size + self._block
         W, last = self._basis[end : end + block], self._basis[size:end]
         recent = self._basis[max(size - block, 0) : end]
+        # M times them, and times what is new.
+        images, new = recent, W
+        if self._weighed is not None:
+            images, new = np.split(self._images[-block - len(recent) :], [-block])
         image = self._operator(self._input)
 
         def taken(a: int, b: int) -> Floats:
             W[:, a:b] = image[a:b].T
-            return W[:, a:b] @ recent[:, a:b].T
+            return W[:, a:b] @ images[:, a:b].T
 
         inside = self._sum(taken)
         own = inside[:, -block:]
@@ -97,18 +111,25 @@ class BlockLanczos:
         self._norm = max(self._norm, float(np.linalg.norm(own)))
         unsure = self._loss * self._norm > self._apart * self._new
         # With the last block, unless it was orthogonalised when it came.
-        rows = self._basis[size if unsure and self._loss > _CLEAN else end : end + block]
+        both = unsure and self._loss > _CLEAN
+        rows = self._basis[size if both else end : end + block]
         older = self._basis[:size] if unsure else recent[:-block]
+        heavy = rows if new is W else self._images[block if both else 2 * block :]
 
         def less(a: int, b: int) -> Floats:
-            part = W[:, a:b]
-            part -= inside @ recent[:, a:b]
-            others = rows[:, a:b] @ older[:, a:b].T
-            products = np.zeros((len(rows), len(older) + 2 * block))
-            products[:, : len(older)] = others
-            products[-block:, len(older) :] = part @ np.vstack([last[:, a:b], part]).T
-            return products
+            W[:, a:b] -= inside @ recent[:, a:b]
+            return products(a, b) if self._weighed is None else np.zeros(0)
 
+        def products(a: int, b: int) -> Floats:
+            found = np.zeros((len(rows), len(older) + 2 * block))
+            found[:, : len(older)] = heavy[:, a:b] @ older[:, a:b].T
+            found[-block:, len(older) :] = new[:, a:b] @ np.vstack([last[:, a:b], W[:, a:b]]).T
+            return found
+
+        if self._weighed is not None:
+            self._sum(less)
+            new[:] = self._weighed(W)
+            less = products
         far, near, square = np.split(self._sum(less), [len(older), len(older) + block], axis=1)
         near, square = near[-block:], square[-block:]
         first = _root(square - far[-block:] @ far[-block:].T - near @ near.T)
@@ -121,6 +142,11 @@ class BlockLanczos:
             return part @ part.T
 
         square = self._sum(turned)
+        if self._weighed is not None:
+            new[:] = self._weighed(W)
+            square = inner(W, new)
+            if both:
+                images[-block:] = self._weighed(last)
         second = None if first is None else _root(square)
         R, again, self._new = np.zeros((block, block)), np.eye(block), 0.0
         if first is not None and second is not None:
@@ -135,14 +161,23 @@ class BlockLanczos:
             R = R if first is None else R @ first.T
             others = self._basis[:end]
             for _ in range(2):
-                Q = np.linalg.qr(Q - others.T @ (others @ Q))[0]
+                weighty = Q if self._weighed is None else self._weighed(Q.T).T
+                Q = np.linalg.qr(Q - others.T @ (others @ weighty))[0]
             W[:], again, self._loss = Q.T, np.eye(block), _ROUNDED
+            if self._weighed is not None:
+                self._orthonormalise(W)
+                new[:] = self._weighed(W)
 
         def appended(a: int, b: int) -> None:
             W[:, a:b] = again @ W[:, a:b]
-            self._input[a:b] = W[:, a:b].T
+            if new is not W:
+                new[:, a:b] = again @ new[:, a:b]
+            self._input[a:b] = new[:, a:b].T
 
         in_threads(appended, self._cuts)
+        if new is not W:
+            self._images[:block] = self._images[block : 2 * block]
+            self._images[block : 2 * block] = new
         self._projected[end : end + block, size:end] = R
         self._projected[size:end, end : end + block] = R.T
         self.size = end
@@ -158,6 +193,13 @@ class BlockLanczos:
     def lifted(self, rotation: Floats) -> Floats:
         """Return vectors as rows, (s, n), whose coefficients are the columns of `rotation`."""
         return combined(rotation.T, self._basis[: self.size])
+
+    def _orthonormalise(self, rows: Floats) -> None:
+        """Make a few rows orthonormal in M."""
+        assert self._weighed is not None
+        for _ in range(2):
+            root = np.asarray(np.linalg.cholesky(inner(rows, self._weighed(rows))), float)
+            rows[:] = _inverse(root) @ rows
 
     def _sum(self, part: Callable[[int, int], Floats]) -> Floats:
         """Return the sum of what is found in ranges of points."""

@@ -71,6 +71,13 @@ def real_dtype(name: str, dtype: DTypeLike) -> np.dtype[np.floating]:
     return resolved
 
 
+def weighed(mass: Floats | sparse.csr_array, X: NDArray[Any]) -> NDArray[Any]:
+    """Return ``M X``, of the type of X, by the diagonal of M or all of it."""
+    if isinstance(mass, sparse.csr_array):
+        return spmm(mass, X)
+    return np.asarray(mass.astype(X.dtype, copy=False)[:, None] * X)
+
+
 def residuals(
     stiffness: sparse.csr_array, mass: Floats, values: Floats, vectors: Floats
 ) -> tuple[Singles, Floats]:

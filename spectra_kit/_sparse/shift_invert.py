@@ -15,7 +15,8 @@ from spectra_kit._core.types import Floats, Singles
 from spectra_kit._sparse.elimination import Elimination
 from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit._sparse.orthonormal import RankError
-from spectra_kit._sparse.products import residuals
+from spectra_kit._sparse.pencil import Pencil
+from spectra_kit._sparse.products import residuals, spmm, weighed
 from spectra_kit._sparse.ritz import ritz_pairs, ritz_rotation
 from spectra_kit.errors import InvalidInputError
 
@@ -43,12 +44,15 @@ class Refinement(NamedTuple):
 
 def shifted_factor(
     stiffness: sparse.csr_array,
-    mass: Floats,
+    mass: Floats | sparse.csr_array,
     sigma: float,
     elimination: Elimination | None = None,
 ) -> SparseLDL:
     """Factorise ``L - sigma M``, positive definite for sigma < 0."""
-    shifted = sparse.csr_array(stiffness - sigma * sparse.diags_array(mass))
+    if isinstance(mass, sparse.csr_array):
+        shifted = Pencil(stiffness, mass, elimination).shifted(sigma)
+    else:
+        shifted = sparse.csr_array(stiffness - sigma * sparse.diags_array(mass))
     try:
         return SparseLDL(shifted, elimination=elimination)
     except InvalidInputError as error:
@@ -62,7 +66,7 @@ def shifted_factor(
 
 def shift_invert_iteration(
     stiffness: sparse.csr_array,
-    mass: Floats,
+    mass: Floats | sparse.csr_array,
     start: NDArray[np.floating],
     k: int,
     *,
@@ -96,8 +100,10 @@ def shift_invert_iteration(
     """
     clock = Clock()
     # With a mean mass of one, float32 holds every unit of length. Eigenvalues are times `unit`.
-    unit = float(mass.mean())
+    diagonal = mass if isinstance(mass, np.ndarray) else mass.diagonal()
+    unit = float(diagonal.mean())
     mass = mass / unit
+    norms_of = _Residuals(stiffness, mass)
     factor: SparseLDL | None = None
     sigma = 0.0  # below the spectrum, with a factor
     rng = np.random.default_rng(seed)
@@ -110,7 +116,7 @@ def shift_invert_iteration(
         try:
             values, X, _ = ritz_pairs(stiffness, mass, columns, block, rank_tol=rank_tol)
         except RankError:  # zeros alone, such as columns that live on another component
-            X = np.empty((len(mass), 0))
+            X = np.empty((len(diagonal), 0))
         if X.shape[1] < block:
             X = np.hstack([X, _noise(rng, mass, block - X.shape[1])])
             values, X = ritz_rotation(stiffness, mass, X)
@@ -118,7 +124,7 @@ def shift_invert_iteration(
 
     values, X = ritz(start, _RANK_TOL)
     clock.stage("rayleigh_ritz")
-    R, norms = residuals(stiffness, mass, values, X)
+    R, norms = norms_of(values, X)
     clock.stage("residuals")
     best, sweeps, idle = norms[:k], 0, 0
     while True:
@@ -150,7 +156,7 @@ def shift_invert_iteration(
         except InvalidInputError:
             values, X = ritz(X, _FILTERED_TOL)
         clock.stage("rayleigh_ritz")
-        R, norms = residuals(stiffness, mass, values, X)
+        R, norms = norms_of(values, X)
         clock.stage("residuals")
         sweeps += 1
         fell = values[:k].sum() < (1 - _STILL) * trace
@@ -169,10 +175,29 @@ def shift_invert_iteration(
     )
 
 
-def _noise(rng: np.random.Generator, mass: Floats, columns: int) -> Floats:
+class _Residuals:
+    """Residuals of pairs, in float32, and their norms."""
+
+    def __init__(self, stiffness: sparse.csr_array, mass: Floats | sparse.csr_array) -> None:
+        self._stiffness, self._mass = stiffness, mass
+        self._factor = SparseLDL(mass) if isinstance(mass, sparse.csr_array) else None
+
+    def __call__(self, values: Floats, X: Floats) -> tuple[Singles, Floats]:
+        if self._factor is None:
+            return residuals(self._stiffness, self._mass, values, X)
+        R = spmm(self._stiffness, X) - spmm(self._mass, X) * values
+        squares = np.einsum("ij,ij->j", R, self._factor.solve(R))
+        return R.astype(np.float32), np.sqrt(squares)
+
+
+def _unit_columns(mass: Floats | sparse.csr_array, X: Floats) -> Floats:
+    """Return columns of unit M-norm."""
+    return np.asarray(X / np.sqrt(np.einsum("ij,ij->j", X, weighed(mass, X))))
+
+
+def _noise(rng: np.random.Generator, mass: Floats | sparse.csr_array, columns: int) -> Floats:
     """Return random columns of unit M-norm."""
-    noise = rng.standard_normal((len(mass), columns))
-    return np.asarray(noise / np.sqrt(mass @ noise**2))
+    return _unit_columns(mass, rng.standard_normal((mass.shape[0], columns)))
 
 
 def _filtered_noise(
@@ -180,25 +205,24 @@ def _filtered_noise(
     sigma: float,
     guard: float,
     degree: int,
-    mass: Floats,
+    mass: Floats | sparse.csr_array,
     X: Floats,
     rng: np.random.Generator,
 ) -> Floats:
     """Return the low modes in a few random columns, of unit norm and orthogonal to X."""
     gain = np.float32(2 * (guard - sigma))
-    weights = mass.astype(np.float32)[:, None]
     columns = _noise(rng, mass, _PROBES)
     for _ in range(2):  # in between, what grew most is taken out: float32 drowns in it
         old = columns.astype(np.float32)
-        new = gain * factor.solve(weights * old, dtype=np.float32) - old
+        new = gain * factor.solve(weighed(mass, old), dtype=np.float32) - old
         for _ in range(degree - 1):
-            solved = factor.solve(weights * new, dtype=np.float32)
+            solved = factor.solve(weighed(mass, new), dtype=np.float32)
             old, new = new, 2 * (gain * solved - new) - old
         columns = new.astype(np.float64)
         with single_threaded_blas():
             for _ in range(2):  # once leaves what cancellation leaves
-                columns -= X @ (X.T @ (mass[:, None] * columns))
-            columns /= np.sqrt(mass @ columns**2)
+                columns -= X @ (X.T @ weighed(mass, columns))
+            columns = _unit_columns(mass, columns)
     return columns
 
 
@@ -207,7 +231,7 @@ def _correction(
     sigma: float,
     guard: float,
     degree: int,
-    mass: Floats,
+    mass: Floats | sparse.csr_array,
     R: Singles,
     values: Floats,
 ) -> Singles:
@@ -222,14 +246,17 @@ def _correction(
     first = np.float32(-gain * mu) * solved
     correction = first / np.float32(x)
     previous = np.zeros_like(first)
-    weights = mass.astype(np.float32)
-    np.multiply(weights[:, None], correction, out=solved)
-    cuts = shares(len(mass))
+    diagonal = isinstance(mass, np.ndarray)
+    weights = mass.astype(np.float32) if diagonal else np.ones(len(R), np.float32)
+    solved = weighed(mass, correction)
+    cuts = shares(len(R))
     for _ in range(degree - 1):
         solved = factor.solve(solved, dtype=np.float32)
         p_next = 2 * x * p - p_before
         a, b, c = (np.float32(q / p_next) for q in (2 * p, p_before, 2 * p))
         fixed = (solved, correction, previous, first, weights, gain, a, b, c)
         in_threads(chebyshev_step, ((*fixed, *rows) for rows in cuts))
+        if not diagonal:
+            solved = weighed(mass, solved)
         p_before, p = p, p_next
     return correction

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -10,12 +12,14 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from spectra_kit._core.clock import Clock
-from spectra_kit._core.threads import single_threaded_blas, team
+from spectra_kit._core.records import frozen
+from spectra_kit._core.threads import in_threads, shares, single_threaded_blas, team
 from spectra_kit._core.types import Floats
 from spectra_kit._sparse.block_lanczos import BlockLanczos, combined, inner
 from spectra_kit._sparse.elimination import Elimination
 from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit._sparse.pencil import Pencil
+from spectra_kit._sparse.products import rows_of
 
 _BLOCK = 8  # vectors of a step: solved together they cost a third; more need a larger space
 #: The same where clusters are larger than a space of those finds: four times as much memory.
@@ -74,7 +78,8 @@ class Sliced(NamedTuple):
     shifts: int
     seconds: dict[str, float]
     pencil: Pencil
-    """Of ``M^-1/2 L M^-1/2`` and the identity, whose eigenvalues these are: to count them."""
+    """Of ``D^-1/2 L D^-1/2`` and ``D^-1/2 M D^-1/2``, whose eigenvalues these are: to count them.
+    D is the diagonal of M."""
 
 
 def vectors_held(k: int) -> int:
@@ -89,7 +94,7 @@ def vectors_held(k: int) -> int:
 @single_threaded_blas()
 def sliced_eigenpairs(
     stiffness: sparse.csr_array,
-    mass: Floats,
+    mass: Floats | sparse.csr_array,
     k: int,
     *,
     below: float,
@@ -103,27 +108,32 @@ def sliced_eigenpairs(
     """Return the k lowest eigenpairs of ``L u = lambda M u``; fewer if `most_shifts` are too few.
 
     Around one shift after the other: block Lanczos with ``(A - sigma)^-1``,
-    ``A = M^-1/2 L M^-1/2``, until residuals are `tol` of its eigenvalues, or rounding. The inertia
-    of a factor is the number of eigenvalues below its shift: two runs go on until what they found
-    between them is all there is, or the later shift moves closer. They are put together at the
-    widest gap of what both found, which keeps clusters whole. The first shift is amid the wanted
-    eigenvalues, as far as the mean `spacing` of eigenvalues tells; all of them are above `below`.
-    With larger blocks than usual, a run takes all modes that its space has room for.
+    ``A = M^-1/2 L M^-1/2``, or, where M is no diagonal, with ``(L - sigma M)^-1 M`` in its inner
+    product, both scaled by its diagonal; until residuals are `tol` of its eigenvalues, or rounding.
+    The inertia of a factor is the number of eigenvalues below its shift: two runs go on until what
+    they found between them is all there is, or the later shift moves closer. They are put together
+    at the widest gap of what both found, which keeps clusters whole. The first shift is amid the
+    wanted eigenvalues, as far as the mean `spacing` of eigenvalues tells; all of them are above
+    `below`. With larger blocks than usual, a run takes all modes that its space has room for.
 
     After Grimes, Lewis and Simon, *A shifted block Lanczos algorithm for solving sparse symmetric
     generalized eigenproblems*, 1994.
     """
-    clock, root, loose = Clock(), np.sqrt(mass), tol > _SHARED
+    clock, loose, whole = Clock(), tol > _SHARED, isinstance(mass, sparse.csr_array)
+    root = np.sqrt(mass.diagonal() if whole else mass)
+    n = len(root)
     guess, share, denser = _AIM if loose else (_GUESS, _BELOW, _DENSER)
-    room = min(_STEPS * block, len(mass) // 2) // 4  # modes that a space of so many vectors finds
+    room = min(_STEPS * block, n // 2) // 4  # modes that a space of so many vectors finds
     tol = min(max(tol, _ROUNDING), _LOOSEST)
-    A = stiffness.copy()
-    A.data /= np.repeat(root, np.diff(A.indptr)) * root[A.indices]
+    A, weights, weighed = _scaled(stiffness, root), np.ones(n), None
+    if whole:
+        weights = _scaled(mass, root)
+        weighed = partial(_weighed, weights)
     values, errors = np.empty(k), np.empty(k)
-    X = np.empty((k, len(mass)))  # rows are eigenvectors of A
+    X = np.empty((k, n))  # rows are eigenvectors of A
     first, counted, found = 0, 0, 0  # modes below the last run, below its shift, and all
     last, ahead, reach, shifts, closer = below, min(math.ceil(share * k), _FIRST), 1.0, 0, 0
-    sigma, pencil = below + guess * ahead * spacing, Pencil(A, np.ones(len(mass)), elimination)
+    sigma, pencil = below + guess * ahead * spacing, Pencil(A, weights, elimination)
     with team():
         while found < k and shifts < most_shifts and closer < _CLOSER:
             top = values[found - 1] if found else last
@@ -137,7 +147,7 @@ def sliced_eigenpairs(
             if number - found > (denser * ahead if block == _BLOCK else room):
                 sigma, closer = top + (sigma - top) * ahead / (number - found), closer + 1
                 continue
-            run = _Run(factor, sigma, tol, seed + shifts, block)
+            run = _Run(factor, sigma, tol, seed + shifts, block, weighed)
             above = min(ahead if found else k, k - number)
             cut = run.until(values[counted:found], number - counted, last, above)
             clock.stage("lanczos")
@@ -151,7 +161,8 @@ def sliced_eigenpairs(
             values[begin:end], new, errors[begin:end] = pairs
             # What is farther than a run away is orthogonal where residuals are rounding.
             before = X[first if tol <= _ROUNDING else 0 : begin]
-            X[begin:end] = new - combined(inner(new, before), before)
+            heavy = new if weighed is None or not len(before) else weighed(new)
+            X[begin:end] = new - combined(inner(heavy, before), before)
             clock.stage("pairs")
             gained, found = end > found, end
             if end < 2:
@@ -166,10 +177,31 @@ def sliced_eigenpairs(
             step = np.ptp(values[found - 1 - some : found]) / some
             sigma = values[found - 1] + ahead * max(step, _LEAST * spacing)
     if loose and first > 0:
-        Q, R = np.linalg.qr(X[:found].T)
-        X[:found] = (Q * np.copysign(1.0, R.diagonal())).T
+        own = X[:found]
+        if weighed is None:
+            Q, R = np.linalg.qr(own.T)
+            own[:] = (Q * np.copysign(1.0, R.diagonal())).T
+        else:
+            root_of = np.linalg.cholesky(inner(own, weighed(own)))
+            own[:] = combined(np.linalg.inv(root_of), own)
     U = np.ascontiguousarray((X[:found] / root).T)
     return Sliced(values[:found], U, errors[:found], shifts, clock.seconds, pencil)
+
+
+def _scaled(matrix: sparse.csr_array, root: Floats) -> sparse.csr_array:
+    scaled = matrix.copy()
+    scaled.data /= np.repeat(root, np.diff(scaled.indptr)) * root[scaled.indices]
+    return scaled
+
+
+def _weighed(mass: sparse.csr_array, rows: Floats) -> Floats:
+    """Return M times long rows: spmm takes columns, and twice as long with the turning."""
+    from spectra_kit._sparse._kernels import multiply_long
+
+    out = np.empty(rows.shape)
+    fixed = (*rows_of(mass), frozen(np.ascontiguousarray(rows)), out)
+    in_threads(multiply_long, ((*fixed, *cut) for cut in shares(rows.shape[1])))
+    return out
 
 
 def vectors_for(modes: int, tol: float) -> float:
@@ -192,12 +224,27 @@ def _factor(pencil: Pencil, sigma: float) -> SparseLDL | None:
 class _Run:
     """Lanczos around one shift."""
 
-    def __init__(self, factor: SparseLDL, sigma: float, tol: float, seed: int, block: int) -> None:
+    def __init__(
+        self,
+        factor: SparseLDL,
+        sigma: float,
+        tol: float,
+        seed: int,
+        block: int,
+        weighed: Callable[[Floats], Floats] | None,
+    ) -> None:
         self._factor, self._sigma, self._tol, self._block = factor, sigma, tol, block
+        self._weighed = weighed
         self._loose = tol > _SHARED
         self._most = min(_STEPS, factor.n // (2 * block)) * block
         self._krylov = BlockLanczos(
-            factor.solve, factor.n, block=block, most=self._most, seed=seed, loose=self._loose
+            factor.solve,
+            factor.n,
+            block=block,
+            most=self._most,
+            seed=seed,
+            loose=self._loose,
+            weighed=weighed,
         )
 
     def until(self, known: Floats, number: int, last: float, above: int) -> int | None:
@@ -240,8 +287,10 @@ class _Run:
         if self._loose:
             return self._sigma + 1 / inverse, X, errors
         # One more product takes out what rounding left of frequencies.
-        X = np.ascontiguousarray((self._factor.solve(X.T) / inverse).T)
-        error = inner(X, X) - np.eye(len(kept))
+        images = X if self._weighed is None else self._weighed(X)
+        X = np.ascontiguousarray((self._factor.solve(images.T) / inverse).T)
+        images = X if self._weighed is None else self._weighed(X)
+        error = inner(X, images) - np.eye(len(kept))
         return self._sigma + 1 / inverse, X - combined(error / 2, X), errors
 
     def _look(self) -> None:

@@ -58,7 +58,7 @@ def proved_excess(spectrum: Spectrum, laplacian: Laplacian) -> Floats:
     for start in range(0, spectrum.k, _SMOOTHED):
         block = slice(start, start + _SMOOTHED)
         smooth[:, block] = smoothed(laplacian, values[block], vectors[:, block], degree=_DEGREE)
-    lower = ritz_pairs(laplacian.stiffness, laplacian.mass, smooth, spectrum.k).eigenvalues
+    lower = ritz_pairs(laplacian.stiffness, laplacian._weights, smooth, spectrum.k).eigenvalues
     excess = np.zeros(spectrum.k)
     told = slice(laplacian.kernel_dimension, len(lower))
     excess[told] = np.maximum(values[told] / lower[told] - 1, 0.0)
@@ -255,7 +255,7 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
     floors, numbers = [0.0], [0]  # below each floor, so many eigenvalues at most
     times, i, refuted = np.ones(len(some)), 0, False  # as large as estimated each may be
     try:
-        pencil = Pencil(laplacian.stiffness, laplacian.mass)
+        pencil = Pencil(laplacian.stiffness, laplacian._weights)
         for i, j in enumerate(some):
             refuted = False
             for more in _TIMES if np.isfinite(times).all() else _TIMES[:1]:
@@ -267,7 +267,9 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
                 if factor is None:
                     continue
                 inertia = factor.inertia
-                backward = factor.backward_error(laplacian.mass) if inertia.negative > j else 0.0
+                backward = 0.0
+                if inertia.negative > j:
+                    backward = factor.backward_error(laplacian.mass) / laplacian._least_weight
                 floors.append(shift - backward)
                 numbers.append(inertia.negative + inertia.zero)
                 refuted = inertia.negative > j and shift + backward < values[j]  # by no rounding

@@ -176,8 +176,8 @@ class _Prover:
         free = laplacian.free
         if len(laplacian.fixed):
             vectors = spectrum.eigenvectors[free]
-            spectrum = Spectrum(spectrum.eigenvalues, vectors, spectrum.mass[free])
             laplacian = replace(laplacian.restricted(free), seconds=0.0)
+            spectrum = Spectrum(spectrum.eigenvalues, vectors, laplacian._weights)
         return cls(
             laplacian,
             laplacian.eigenvalue_spacing,
@@ -188,7 +188,7 @@ class _Prover:
     @cached_property
     def _pencil(self) -> Pencil:
         laplacian = self.laplacian
-        return Pencil(laplacian.stiffness, laplacian.mass, laplacian._elimination)
+        return Pencil(laplacian.stiffness, laplacian._weights, laplacian._elimination)
 
     def prove(self, *, thorough: bool = True) -> ModeCount:
         """Find the largest number of leading modes that a count confirms.
@@ -259,6 +259,7 @@ class _Prover:
             # And what rounds the diagonal of L - sigma M.
             largest = np.abs(laplacian.stiffness.diagonal() / laplacian.mass).max()
             error = factor.backward_error(laplacian.mass) + float(_EPS * (sigma + largest))
+            error /= laplacian._least_weight
             if sigma - error > lowest:
                 # What counts as zero may be negative: no more than both lie below.
                 negative, zero, _ = factor.inertia

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
+from scipy import sparse
 from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigsh
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
 from spectra_kit._core.threads import blas_threads_for
+from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, check_positive, quantity
 from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit._sparse.shift_invert import shifted_factor
@@ -86,7 +89,8 @@ class Arpack(_ShiftInvert):
     Notes
     -----
     Works on the standard form ``M^1/2 (L - sigma M)^-1 M^1/2``, whose largest eigenvalues are
-    ``1 / (lambda - sigma)``. Lehoucq, Sorensen and Yang, *ARPACK Users' Guide*, 1998.
+    ``1 / (lambda - sigma)``; where M is no diagonal, in its inner product. Lehoucq, Sorensen and
+    Yang, *ARPACK Users' Guide*, 1998.
 
     Examples
     --------
@@ -113,18 +117,27 @@ class Arpack(_ShiftInvert):
             return _crowded(laplacian, k)
         sigma = -self.shift * laplacian.eigenvalue_spacing
         clock = Clock()
-        factor = shifted_factor(laplacian.stiffness, laplacian.mass, sigma, laplacian._elimination)
+        weights, elimination = laplacian._weights, laplacian._elimination
+        factor = shifted_factor(laplacian.stiffness, weights, sigma, elimination)
         clock.stage("factor")
         # ARPACK takes a Ritz value below eps^(2/3) = 4e-11 for converged when it is so absolutely,
         # not relatively: in units of the spacing they are all far above that, whatever the input's.
         # A power of two near the spacing changes no digit.
         unit = 2.0 ** np.rint(np.log2(laplacian.eigenvalue_spacing))
-        root = np.sqrt(laplacian.mass)
+        root, M = np.sqrt(laplacian.mass), laplacian.consistent_mass
         inverse = LinearOperator(
             laplacian.stiffness.shape,
             matvec=lambda x: unit * root * factor.solve(root * x.ravel()),
             dtype=np.float64,
         )
+        asked: dict[str, Any] = {"which": "LA"}
+        if M is not None:  # in its inner product, scaled: values come back as lambda / unit
+            scale = sparse.diags_array(1 / root)
+            asked = {"M": scale @ M @ scale, "OPinv": inverse, "sigma": sigma / unit}
+
+        def told(values: Floats) -> Floats:
+            return np.asarray(unit / values + sigma if M is None else unit * values)
+
         v0 = np.random.default_rng(self.seed).standard_normal(laplacian.n)
         ncv = min(laplacian.n, max(2 * k, k + 20)) if k < _MANY else k + k // 2 + 10
         try:
@@ -132,14 +145,15 @@ class Arpack(_ShiftInvert):
                 values, vectors = eigsh(
                     inverse,
                     k,
-                    which="LA",
                     v0=v0,
                     ncv=ncv,
                     tol=self.tol,
                     maxiter=self.max_restarts,
+                    **asked,
                 )
         except ArpackNoConvergence as error:
-            pairs = Eigenpairs(unit / error.eigenvalues + sigma, error.eigenvectors / root[:, None])
+            values = told(error.eigenvalues)
+            pairs = Eigenpairs(values, error.eigenvectors / root[:, None])
             raise NotConvergedError(
                 f"ARPACK found {len(error.eigenvalues)} of {quantity(k, 'mode')} in"
                 f" {quantity(self.max_restarts, 'restart')}",
@@ -155,7 +169,7 @@ class Arpack(_ShiftInvert):
             return blocks.eigenpairs(laplacian, k)._replace(reason=why)
         clock.stage("lanczos")
         vectors = vectors / root[:, None]
-        return Eigenpairs(unit / values + sigma, vectors, clock.seconds, solver=self)
+        return Eigenpairs(told(values), vectors, clock.seconds, solver=self)
 
 
 @checked
@@ -228,7 +242,7 @@ class Lanczos(_ShiftInvert):
         solved = partial(
             sliced_eigenpairs,
             laplacian.stiffness,
-            laplacian.mass,
+            laplacian._weights,
             below=-_SHIFT * laplacian.eigenvalue_spacing,
             spacing=laplacian.eigenvalue_spacing,
             most_shifts=self.max_shifts,

@@ -75,7 +75,7 @@ class RayleighRitz(OnPoints):
             return Dense().eigenpairs(laplacian, k)
         clock.stage("subspace")
         values, vectors, _ = ritz_pairs(
-            laplacian.stiffness, laplacian.mass, basis, k, least=k, rank_tol=self.rank_tol
+            laplacian.stiffness, laplacian._weights, basis, k, least=k, rank_tol=self.rank_tol
         )
         clock.stage("rayleigh_ritz")
         return Eigenpairs(values, vectors, clock.seconds)

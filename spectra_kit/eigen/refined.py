@@ -115,7 +115,7 @@ class Refined(OnPoints):
         clock.stage("factor")
         found = shift_invert_iteration(
             laplacian.stiffness,
-            laplacian.mass,
+            laplacian._weights,
             basis,
             k,
             tolerance=lambda values: self.rtol * np.maximum(values, spacing),

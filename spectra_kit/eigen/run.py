@@ -69,18 +69,21 @@ class Units(NamedTuple):
 
     def taken_from(self, laplacian: Laplacian) -> Laplacian:
         """Return the operator measured in these units."""
-        L = laplacian.stiffness
+        L, M = laplacian.stiffness, laplacian.consistent_mass
         data = np.ldexp(L.data, -self.energy)
         return replace(
             laplacian,
             stiffness=sparse.csr_array((data, L.indices, L.indptr), shape=L.shape),
             mass=np.ldexp(laplacian.mass, -2 * self.length),
+            consistent_mass=None if M is None else M * 2.0 ** (-2 * self.length),
             points=np.ldexp(laplacian.points, -self.length),
         )
 
 
 def is_whole(laplacian: Laplacian) -> bool:
-    """Whether this is one component, all of it free, of ordinary size: solved as it is."""
+    """Whether this is solved as it is: lumped, one component, all of it free, of ordinary size."""
+    if laplacian.consistent_mass is not None:
+        return False
     return laplacian.n_components == 1 and not len(laplacian.fixed) and not any(Units.of(laplacian))
 
 
@@ -297,6 +300,8 @@ class _Run:
         nor those that have negative ones: what refuses them does so one by one.
         """
         laplacian, begin, solved = self.laplacian, time.perf_counter(), set[int]()
+        if laplacian.consistent_mass is not None:
+            return solved
         few = solver.max_points if isinstance(solver, Dense) else laplacian.n
         for alike in small_components(laplacian, [self.parts[i] for i in due], few):
             n = alike.points.shape[1]
@@ -331,8 +336,9 @@ class _Run:
         if k == 0:
             return _none(laplacian.n)
         if laplacian.n == 1:  # an isolated point: nothing to solve
-            value = laplacian.stiffness.diagonal() / laplacian.mass
-            vector = 1 / np.sqrt(laplacian.mass)[:, None]
+            M = laplacian.consistent_mass
+            mass = laplacian.mass if M is None else M.diagonal()
+            value, vector = laplacian.stiffness.diagonal() / mass, 1 / np.sqrt(mass)[:, None]
             return Eigenpairs(value, vector, errors=np.zeros(1))
         try:
             if self.begun is not None and solver is self.solver:
@@ -388,7 +394,7 @@ class _Run:
         """Check `pairs`, and return what is known of them."""
         begin, laplacian = time.perf_counter(), self.laplacian
         pairs = _sorted(pairs)
-        spectrum = Spectrum(pairs.eigenvalues, pairs.eigenvectors, laplacian.mass)
+        spectrum = Spectrum(pairs.eigenvalues, pairs.eigenvectors, laplacian._weights)
         certificate = certificate_of(spectrum, laplacian)
         if (error := certificate.orthonormality_error) > _ORTHONORMAL:
             raise InvalidSpectrumError(
@@ -552,14 +558,14 @@ def _with_exact_constant(laplacian: Laplacian, pairs: Eigenpairs) -> Eigenpairs:
     """
     constant = 1 / np.sqrt(laplacian.area)
     with blas_threads_for(pairs.eigenvectors.size):
-        cosines = constant * (laplacian.mass @ pairs.eigenvectors)
+        cosines = constant * (laplacian._row_sums @ pairs.eigenvectors)
     if not laplacian.kernel_dimension or not abs(cosines @ cosines - 1) <= _CONSTANT:
         return pairs
     near = np.abs(cosines) >= min(_CONSTANT, np.abs(cosines).max())
     values, vectors = pairs.eigenvalues.copy(), less(pairs.eigenvectors, constant * cosines)
     # The first axis goes to the constant, the others span what else these modes span.
     axes = np.linalg.qr(cosines[near, None], mode="complete")[0]
-    others = ritz_rotation(laplacian.stiffness, laplacian.mass, vectors[:, near] @ axes[:, 1:])
+    others = ritz_rotation(laplacian.stiffness, laplacian._weights, vectors[:, near] @ axes[:, 1:])
     values[near] = np.append(-1.0, others[0])  # the constant comes first
     vectors[:, near] = np.column_stack([np.full(laplacian.n, constant), others[1]])
     errors = pairs.errors
@@ -573,8 +579,13 @@ def _fingerprint(laplacian: Laplacian) -> str:
     """Return a hash of all that defines the eigenproblem."""
     digest = hashlib.blake2b(digest_size=16)
     L = laplacian.stiffness
-    for integers in (L.indptr, L.indices, laplacian.fixed):  # whatever width scipy chose for them
+    M = laplacian.consistent_mass
+    patterns = [L.indptr, L.indices, laplacian.fixed]
+    numbers = [L.data, laplacian.mass, laplacian.points]
+    if M is not None:
+        patterns, numbers = [*patterns, M.indptr, M.indices], [*numbers, M.data]
+    for integers in patterns:  # whatever width scipy chose for them
         digest.update(np.ascontiguousarray(integers, dtype=np.int64).data)
-    for floats in (L.data, laplacian.mass, laplacian.points):
+    for floats in numbers:
         digest.update(np.ascontiguousarray(floats).data)
     return digest.hexdigest()

@@ -89,10 +89,9 @@ def eigensolve(
         ``Automatic(accuracy=1e-3)`` takes what costs least for that accuracy; without it, all is
         exact. For those who know: `Arpack`, `Lanczos`, `Refined`, `Dense`; approximate: `Neo`,
         `Cascade`, `RayleighRitz`; or your own. Or its name in the `catalogue`: "arpack".
-    mass : array_like of shape (n,), or diagonal sparse array of shape (n, n), optional
-        Of a stiffness matrix: lumped, for a full one has other modes; its row sums, say. Matrices
-        have no points, so that their solver is to be an exact one: for others, make a
-        ``Laplacian(K, M, points)``.
+    mass : array_like of shape (n,), or sparse array of shape (n, n), optional
+        Of a stiffness matrix: M, positive definite, lumped or not. Matrices have no points, so that
+        their solver is to be an exact one: for others, make a ``Laplacian(K, M, points)``.
 
     Returns
     -------

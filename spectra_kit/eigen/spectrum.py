@@ -19,12 +19,12 @@ from spectra_kit._core.shown import draw
 from spectra_kit._core.threads import blas_threads_for
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, check_positive, quantity
-from spectra_kit._sparse.host import energies, gram
-from spectra_kit._sparse.products import residual_norms
+from spectra_kit._sparse.host import dots, energies, gram, product
+from spectra_kit._sparse.products import residual_norms, weighed
 from spectra_kit.eigen.certificate import Certificate, ModeCount, Provenance
 from spectra_kit.eigen.spectrum_file import REMEDY, read_spectrum_file, write_spectrum_file
 from spectra_kit.errors import InvalidInputError, InvalidSpectrumError
-from spectra_kit.operators.laplacian import Laplacian
+from spectra_kit.operators.laplacian import Laplacian, split_mass
 
 if TYPE_CHECKING:
     import torch
@@ -52,12 +52,14 @@ class Spectrum(Rebuilt):
     eigenvectors : array_like of shape (n, k)
         Columns, M-orthonormal: ``U.T @ (mass[:, None] * U) == I``; in 1/length. `eigensolve` checks
         that; here it is taken for granted.
-    mass : array_like of shape (n,)
-        Lumped mass, positive, in length^2.
+    mass : array_like of shape (n,), or sparse array of shape (n, n)
+        M, positive, in length^2: lumped, or a matrix, as of `Laplacian`.
     certificate : Certificate, optional
         Residuals and counts; `eigensolve` always fills it.
     provenance : Provenance, optional
         Solver, operator, seed, times, input hash.
+    consistent_mass : sparse array of shape (n, n), optional
+        M where it is not diagonal; `mass`, lumped, then weighs points.
 
     Examples
     --------
@@ -70,11 +72,21 @@ class Spectrum(Rebuilt):
 
     eigenvalues: Floats
     eigenvectors: Floats
-    mass: Floats
+    mass: Annotated[Floats, sparse.sparray]
     certificate: Certificate | None = None
     provenance: Provenance = _BY_THE_USER
+    consistent_mass: sparse.csr_array | None = None
 
     def __post_init__(self) -> None:
+        consistent, n = self.consistent_mass, np.shape(self.mass)[:1]
+        if sparse.issparse(self.mass):
+            lumped, consistent = split_mass("mass", self.mass, *n)
+            object.__setattr__(self, "mass", lumped)
+        elif consistent is not None and not _is_ours(consistent, n):
+            consistent = split_mass("consistent_mass", consistent, *n)[1]
+        for array in () if consistent is None else _parts(consistent):
+            array.flags.writeable = False
+        object.__setattr__(self, "consistent_mass", consistent)
         values, vectors, mass = (
             _as_float64(name, getattr(self, name), ndim)
             for name, ndim in (("eigenvalues", 1), ("eigenvectors", 2), ("mass", 1))
@@ -150,7 +162,7 @@ class Spectrum(Rebuilt):
 
     def _rescaled(self, length: float, energy: float = 1.0) -> Spectrum:
         """Return it with lengths, and energies, multiplied by these."""
-        square, old = length**2, self.certificate
+        square, old, M = length**2, self.certificate, self.consistent_mass
         certificate = old and replace(
             old,
             residuals=old.residuals / square * energy,
@@ -161,6 +173,7 @@ class Spectrum(Rebuilt):
             eigenvalues=self.eigenvalues / square * energy,
             eigenvectors=self.eigenvectors / length,
             mass=self.mass * square,
+            consistent_mass=None if M is None else M * square,
             certificate=certificate,
             provenance=replace(self.provenance, input_hash=""),
         )
@@ -172,7 +185,7 @@ class Spectrum(Rebuilt):
         """
         f = _as_columns("values", values, self.n)
         with blas_threads_for(self.eigenvectors.size):
-            return np.asarray(self.eigenvectors.T @ (self.mass * f.T).T)
+            return np.asarray(self.eigenvectors.T @ self._weighed(f))
 
     def reconstruct(self, coefficients: ArrayLike) -> Floats:
         """Return the functions ``U c`` with these coefficients.
@@ -206,15 +219,25 @@ class Spectrum(Rebuilt):
         out: there u is prescribed, not solved for.
         """
         self._check_belongs_to(laplacian)
-        norms = residual_norms(
-            laplacian.stiffness,
-            laplacian.mass,
-            self.eigenvalues,
-            self.eigenvectors,
-            left_out=laplacian.fixed,
-        )
+        factor = laplacian._mass_factor
+        if factor is None:
+            norms = residual_norms(
+                laplacian.stiffness,
+                laplacian.mass,
+                self.eigenvalues,
+                self.eigenvectors,
+                left_out=laplacian.fixed,
+            )
+        else:
+            rest = product(laplacian.stiffness, self.eigenvectors)
+            rest -= self._weighed(self.eigenvectors) * self.eigenvalues
+            rest = rest[laplacian.free] if len(laplacian.fixed) else rest
+            norms = np.sqrt(dots(rest, factor.solve(rest)))
         known = vars(self).get("_products")
-        squared = energies(self.mass, self.eigenvectors) if known is None else known.diagonal()
+        if known is None and factor is None:
+            squared = energies(self.mass, self.eigenvectors)
+        else:
+            squared = self._products.diagonal()
         if not squared.all():
             raise InvalidSpectrumError("eigenvectors", "not hold a column of zeros")
         return np.asarray(norms / np.sqrt(squared))
@@ -233,6 +256,16 @@ class Spectrum(Rebuilt):
                 f"entries between {times.min():.3g} and {times.max():.3g} times it",
                 advice="is the unit the same?",
             )
+        own, other = self.consistent_mass, laplacian.consistent_mass
+        alike = own is other
+        if own is not None and other is not None:
+            alike = alike or bool(abs(own - other).max() <= _FOREIGN_MASS * abs(other).max())
+        if not alike:
+            raise InvalidInputError(
+                "laplacian",
+                "have the mass of this spectrum",
+                "one that is lumped, and one that is not, or another",
+            )
         if not len(laplacian.fixed):
             return
         held = np.abs(self.eigenvectors[laplacian.fixed]).max(initial=0.0)
@@ -247,7 +280,14 @@ class Spectrum(Rebuilt):
     @cached
     def _products(self) -> Floats:
         """``U^T M U``."""
-        return frozen(gram(self.mass, self.eigenvectors))
+        M = self.mass if self.consistent_mass is None else self.consistent_mass
+        return frozen(gram(M, self.eigenvectors))
+
+    def _weighed(self, f: Floats) -> Floats:
+        """``M f`` of one function, (n,), or several, (n, c)."""
+        if self.consistent_mass is None:
+            return np.asarray((self.mass * f.T).T)
+        return weighed(self.consistent_mass, f) if f.ndim == 2 else self.consistent_mass @ f
 
     def orthonormality_error(self) -> float:
         """Return the largest entry of ``|U^T M U - I|``; 0 without any modes."""
@@ -278,7 +318,7 @@ class Spectrum(Rebuilt):
         """How many modes lie in the kernel: the squared cosines between it and their span."""
         if not laplacian.kernel_dimension:
             return 0
-        member = self._by_component(laplacian)[laplacian.constant_components]
+        member = self._by_component(laplacian, laplacian._row_sums)[laplacian.constant_components]
         roots = np.sqrt(np.asarray(member.sum(axis=1)))
         cosines = (member @ self._on_free(laplacian)) / roots[:, None]
         return min(round(float((cosines**2).sum())), laplacian.kernel_dimension)
@@ -287,10 +327,11 @@ class Spectrum(Rebuilt):
         """The eigenvectors at the free points, not copied where all are."""
         return self.eigenvectors[laplacian.free] if len(laplacian.fixed) else self.eigenvectors
 
-    def _by_component(self, laplacian: Laplacian) -> sparse.csr_array:
+    def _by_component(self, laplacian: Laplacian, mass: Floats | None = None) -> sparse.csr_array:
         """The mass of each free point in the row of its component, (n_components, n_free)."""
         labels, free = laplacian.component_labels[laplacian.free], laplacian.free
-        return sparse.csr_array((self.mass[free], (labels, np.arange(len(free)))))
+        weights = (self.mass if mass is None else mass)[free]
+        return sparse.csr_array((weights, (labels, np.arange(len(free)))))
 
     def save(self, path: str | Path) -> None:
         """Write everything to one versioned ``.npz`` file, whole or not at all.
@@ -304,6 +345,8 @@ class Spectrum(Rebuilt):
             If it cannot be written.
         """
         arrays = {n: getattr(self, n) for n in ("eigenvalues", "eigenvectors", "mass")}
+        if (M := self.consistent_mass) is not None:
+            arrays |= {f"mass_{name}": getattr(M, name) for name in ("data", "indices", "indptr")}
         write_spectrum_file(Path(path), arrays, self.certificate, self.provenance)
 
     @classmethod
@@ -398,6 +441,17 @@ class Spectrum(Rebuilt):
         if count.verified == stop:
             count = replace(count, missing=0, reason="")
         return replace(count, verified=max(count.verified - start, 0))
+
+
+def _parts(matrix: sparse.csr_array) -> tuple[NDArray[Any], ...]:
+    return matrix.data, matrix.indices, matrix.indptr
+
+
+def _is_ours(matrix: Any, n: tuple[int, ...]) -> bool:
+    """Whether a mass was checked before: it can be gigabytes, too."""
+    if not isinstance(matrix, sparse.csr_array) or matrix.shape != 2 * n:
+        return False
+    return matrix.dtype == np.float64 and not any(a.flags.writeable for a in _parts(matrix))
 
 
 def certificate_of(spectrum: Spectrum, laplacian: Laplacian) -> Certificate:

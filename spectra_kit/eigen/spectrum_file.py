@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from spectra_kit._core.arrays_file import read_arrays, write_arrays
 from spectra_kit.catalogue import SOLVERS
@@ -15,11 +16,12 @@ from spectra_kit.eigen.certificate import Certificate, ModeCount, Provenance
 from spectra_kit.errors import InvalidFileError
 
 # 2: certificates may hold a count; 3: what it misses, `accuracy`, `excess`; 4: `name`; 5: `errors`
-# and `reason`; 6: `bounded`
-FORMAT_VERSION = 6
+# and `reason`; 6: `bounded`; 7: a mass that is a matrix
+FORMAT_VERSION = 7
 REMEDY = "write it again with Spectrum.save"
 _ARRAYS = ("eigenvalues", "eigenvectors", "mass")
 _RESIDUALS = ("residuals", "relative_residuals")
+_MATRIX = ("mass_data", "mass_indices", "mass_indptr")  # of a mass that is not lumped
 
 
 def write_spectrum_file(
@@ -39,6 +41,7 @@ def write_spectrum_file(
         "version": FORMAT_VERSION,
         "provenance": {**vars(provenance), "seconds": dict(provenance.seconds)},
         "certificate": None,
+        "consistent_mass": _MATRIX[0] in members,
         **more,
     }
     if certificate is not None:
@@ -65,10 +68,11 @@ def read_spectrum_file(path: Path, *, mmap: bool) -> dict[str, Any]:
                 f" {FORMAT_VERSION}; upgrade it",
             )
         header["provenance"] = _named(header["provenance"])
+        chosen = _ARRAYS + (_MATRIX if header.get("consistent_mass") else ())
         if header["certificate"] is None:
-            return _ARRAYS
+            return chosen
         header["certificate"] = dict(header["certificate"])
-        return _ARRAYS + _RESIDUALS
+        return chosen + _RESIDUALS
 
     header, arrays = read_arrays(
         path,
@@ -82,6 +86,10 @@ def read_spectrum_file(path: Path, *, mmap: bool) -> dict[str, Any]:
         count = record.pop("count", None)
         record |= {name: arrays.pop(name) for name in _RESIDUALS}
         certificate = Certificate(**record, count=ModeCount(**count) if count else None)
+    if _MATRIX[0] in arrays:
+        n = len(arrays["mass"])
+        parts = tuple(arrays.pop(name) for name in _MATRIX)
+        arrays["consistent_mass"] = sparse.csr_array(parts, shape=(n, n))
     return {**arrays, "certificate": certificate, "provenance": Provenance(**header["provenance"])}
 
 

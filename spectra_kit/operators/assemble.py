@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Literal
 
 import igl
@@ -28,6 +29,7 @@ from spectra_kit.operators.checks import (
 )
 from spectra_kit.operators.intrinsic import intrinsic_delaunay
 from spectra_kit.operators.laplacian import Laplacian, with_zero_sums
+from spectra_kit.operators.triangle_calculus import linear_mass
 
 # What robust_laplacian 1.1 took of address space, on meshes of 2,000 to 400,000 faces (1,550 to
 # 2,540), and some more.
@@ -40,6 +42,7 @@ def laplacian(
     *,
     operator: Literal["robust", "cotan", "knn", "delaunay"] | None = None,
     boundary: Literal["neumann", "dirichlet"] = "neumann",
+    mass: Literal["lumped", "consistent"] = "lumped",
     device: str = "cpu",
 ) -> Laplacian:
     """Build the Laplacian that fits: `robust_laplacian` of a mesh, `delaunay_laplacian` of a cloud.
@@ -52,6 +55,9 @@ def laplacian(
         Another one, by its name.
     boundary : {"neumann", "dirichlet"}, default "neumann"
         What holds at the boundary of a mesh; Dirichlet holds it at zero.
+    mass : {"lumped", "consistent"}, default "lumped"
+        The diagonal, or the matrix of linear elements as it is, which "cotan" and "delaunay" have,
+        and "delaunay" is taken for. Its eigenvalues are bounds from above on a flat sheet.
     device : str, default "cpu"
         As of `delaunay_laplacian`; other operators are the host's.
 
@@ -68,8 +74,16 @@ def laplacian(
     """
     if operator == "cotan" and not isinstance(geometry, TriangleMesh):
         raise InvalidInputError("operator", "be one for points", "cotan, which needs a mesh")
-    where = {"device": device} if off_host(device) and operator not in ("cotan", "knn") else {}
-    built = _BY_NAME[operator or "robust"](geometry, **where)
+    asked: dict[str, str] = {}
+    if off_host(device) and operator not in ("cotan", "knn"):
+        asked["device"] = device
+    if mass == "consistent":
+        operator, asked["mass"] = operator or "delaunay", mass
+        if operator not in ("cotan", "delaunay"):
+            raise InvalidInputError(
+                "mass", f"be lumped for {operator!r}", mass, advice='take operator="delaunay"'
+            )
+    built = _BY_NAME[operator or "robust"](geometry, **asked)
     if boundary == "neumann":
         return built
     if not isinstance(geometry, TriangleMesh) or not len(geometry.boundary_vertices):
@@ -171,6 +185,7 @@ def delaunay_laplacian(
     *,
     mollify_factor: float = 1e-5,
     n_neighbors: int = 30,
+    mass: Literal["lumped", "consistent"] = "lumped",
     device: str = "cpu",
 ) -> Laplacian:
     """Build the intrinsic Delaunay Laplacian of a mesh or a point cloud.
@@ -181,6 +196,8 @@ def delaunay_laplacian(
         With n points.
     mollify_factor, n_neighbors, device
         As of `intrinsic_delaunay`.
+    mass : {"lumped", "consistent"}, default "lumped"
+        Of linear functions on the triangles.
 
     Returns
     -------
@@ -196,14 +213,20 @@ def delaunay_laplacian(
     >>> [round(sk.delaunay_laplacian(one).area, 2) for one in (mesh, mesh.as_cloud())]
     [12.51, 12.51]
     """
-    return intrinsic_delaunay(
+    found = intrinsic_delaunay(
         geometry, mollify_factor=mollify_factor, n_neighbors=n_neighbors, device=device
-    ).laplacian
+    )
+    if mass == "lumped":
+        return found.laplacian
+    operator = f'{found.operator[:-1]}, mass="consistent")'
+    return replace(found.laplacian, mass=found.consistent_mass, operator=operator)
 
 
 @checked
-def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
-    """Build the cotangent Laplacian with the mixed Voronoi mass, as libigl has it.
+def cotan_laplacian(
+    mesh: TriangleMesh, *, mass: Literal["lumped", "consistent"] = "lumped"
+) -> Laplacian:
+    """Build the cotangent Laplacian, linear elements, with the mixed Voronoi mass, as libigl's.
 
     Edge weights may be negative on obtuse triangles; prefer `robust_laplacian` unless you
     need this one to compare with others. See Pinkall and Polthier, *Computing Discrete Minimal
@@ -213,6 +236,8 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
     ----------
     mesh : TriangleMesh
         Without degenerate or duplicate faces.
+    mass : {"lumped", "consistent"}, default "lumped"
+        Mixed Voronoi areas, or the matrix of linear elements, as of LaPy and scikit-fem.
 
     Returns
     -------
@@ -248,12 +273,16 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
         )
     scaled, faces = mesh.points / unit[:, None], np.array(mesh.faces)
     stiffness = -igl.cotmatrix(scaled, faces)
-    mass = igl.massmatrix(scaled, faces, igl.MASSMATRIX_TYPE_VORONOI)
+    if mass == "consistent":
+        weights, told = linear_mass(faces, mesh.face_areas, mesh.n), 'mesh, mass="consistent"'
+    else:
+        voronoi = igl.massmatrix(scaled, faces, igl.MASSMATRIX_TYPE_VORONOI)
+        weights, told = voronoi.diagonal() * unit**2, "mesh"
     return Laplacian(
         stiffness,
-        mass.diagonal() * unit**2,
+        weights,
         mesh.points,
-        operator="cotan_laplacian(mesh)",
+        operator=f"cotan_laplacian({told})",
         seconds=clock.total,
     )
 

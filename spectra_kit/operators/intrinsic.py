@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
@@ -25,7 +26,7 @@ from spectra_kit.operators.checks import (
     warn_of_near_parts,
 )
 from spectra_kit.operators.laplacian import Laplacian
-from spectra_kit.operators.triangle_calculus import areas, divergences, gradients
+from spectra_kit.operators.triangle_calculus import areas, divergences, gradients, linear_mass
 
 if TYPE_CHECKING:
     from spectra_kit.operators._cover import Cover, OrderedCloud
@@ -126,6 +127,11 @@ class IntrinsicTriangulation(Rebuilt):
     def area(self) -> float:
         """Area of the surface, in length^2."""
         return self.share * float(self.face_areas.sum())
+
+    @property
+    def consistent_mass(self) -> sparse.csr_array:
+        """The mass of piecewise linear functions as it is, not lumped; (n, n), in length^2."""
+        return linear_mass(self.corners, self.share * self.face_areas, self.n)
 
     @cached_property
     def spacings(self) -> Floats:

@@ -1,4 +1,4 @@
-"""`Laplacian`: a weak Laplace-Beltrami operator and the lumped mass that goes with it."""
+"""`Laplacian`: a weak Laplace-Beltrami operator and the mass that goes with it."""
 
 from __future__ import annotations
 
@@ -20,15 +20,18 @@ from spectra_kit.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from spectra_kit._sparse.elimination import Elimination
+    from spectra_kit._sparse.ldl import SparseLDL
 
 _EPS = float(np.finfo(np.float64).eps)
 _ROUNDING = 32 * _EPS  # of the sums of rows, relative to magnitudes
+_VANISHES = 1e-2  # of its diagonal entry: the sum of a row of a mass; of linear elements it is 2
+_POWERS = 8  # of the inverse of a mass, whose spectrum is narrow
 
 
 @checked
 @dataclass(frozen=True, eq=False)
 class Laplacian(Rebuilt):
-    """A symmetric positive semi-definite stiffness matrix L and a lumped mass M on n points.
+    """A symmetric positive semi-definite stiffness matrix L and a mass M on n points.
 
     Its eigenproblem is ``L u = lambda M u``, lambda >= 0. Build one with `robust_laplacian`,
     `cotan_laplacian`, `delaunay_laplacian` or `knn_laplacian`, or bring your own matrices:
@@ -38,8 +41,10 @@ class Laplacian(Rebuilt):
     ----------
     stiffness : sparse array of shape (n, n)
         L, symmetric, positive semi-definite (libigl's cotangent matrix has the other sign).
-    mass : array_like of shape (n,), or diagonal sparse array of shape (n, n)
-        The diagonal of M, positive, in length^2.
+    mass : array_like of shape (n,), or sparse array of shape (n, n)
+        M, in length^2: its diagonal, positive, or a positive definite matrix. What is kept here of
+        the latter is lumped: the sums of its rows, which are exact for linear elements, or, where
+        one vanishes, its diagonal scaled to the same total.
     points : array_like of shape (n, 3)
         Where the unknowns live; learned and Fourier subspaces are functions of it.
     operator : str, default "user"
@@ -48,6 +53,8 @@ class Laplacian(Rebuilt):
         Time spent on assembly.
     fixed : array_like of int, default ()
         Points held at zero (homogeneous Dirichlet). None of them means Neumann.
+    consistent_mass : sparse array of shape (n, n), optional
+        M where it is not diagonal: the eigenproblem is of it, and `mass`, lumped, weighs points.
 
     Examples
     --------
@@ -67,11 +74,16 @@ class Laplacian(Rebuilt):
     fixed: Annotated[Ints, NDArray[np.bool_]] = field(
         default_factory=lambda: np.empty(0, dtype=np.int64)
     )
+    consistent_mass: sparse.csr_array | None = None
 
     def __post_init__(self) -> None:
         points = check_points("points", self.points)
-        stiffness = _check_stiffness(self.stiffness, len(points))
-        mass = check_mass("mass", lumped_diagonal(self.mass), len(points))
+        n = len(points)
+        stiffness = _check_stiffness(self.stiffness, n)
+        given, consistent = split_mass("mass", self.mass, n)
+        if self.consistent_mass is not None:
+            consistent = split_mass("consistent_mass", self.consistent_mass, n)[1]
+        mass = check_mass("mass", given, n)
         fixed = np.unique(as_indices("fixed", self.fixed, len(points)))
         if len(fixed) == len(points):
             raise InvalidInputError(
@@ -79,9 +91,10 @@ class Laplacian(Rebuilt):
             )
         for name, value in (("points", points), ("mass", mass), ("fixed", fixed)):
             object.__setattr__(self, name, frozen(np.array(value)))
-        for buffer in (stiffness.data, stiffness.indices, stiffness.indptr):
-            buffer.flags.writeable = False
-        object.__setattr__(self, "stiffness", stiffness)
+        for name, matrix in (("stiffness", stiffness), ("consistent_mass", consistent)):
+            for buffer in () if matrix is None else (matrix.data, matrix.indices, matrix.indptr):
+                buffer.flags.writeable = False
+            object.__setattr__(self, name, matrix)
 
     @property
     def n(self) -> int:
@@ -123,15 +136,59 @@ class Laplacian(Rebuilt):
         """What all factors of ``L - sigma M`` share; `_forget` it, as it is as large as L."""
         from spectra_kit._sparse.pencil import Pencil
 
-        return Pencil(self.stiffness, self.mass).elimination
+        return Pencil(self.stiffness, self._weights).elimination
 
     def _forget(self) -> None:
-        vars(self).pop("_elimination", None)
+        for name in ("_elimination", "_mass_factor"):
+            vars(self).pop(name, None)
+
+    @property
+    def _weights(self) -> Floats | sparse.csr_array:
+        """M as solvers take it: its diagonal, or all of it."""
+        return self.mass if self.consistent_mass is None else self.consistent_mass
+
+    @cached
+    def _row_sums(self) -> Floats:
+        """``M 1``: what integrates functions that are one of M's."""
+        M = self.consistent_mass
+        return self.mass if M is None else np.asarray(M.sum(axis=1))
+
+    @cached
+    def _mass_factor(self) -> SparseLDL | None:
+        """A factor of M on the free points, where M is no diagonal; `_forget` it."""
+        from spectra_kit._sparse.pencil import Pencil
+
+        if self.consistent_mass is None:
+            return None
+        if len(self.fixed):
+            return self.restricted(self.free)._mass_factor
+        try:
+            return Pencil(self.stiffness, self.consistent_mass, self._elimination).mass_factor()
+        except InvalidInputError as error:
+            raise InvalidInputError(
+                "mass",
+                "be positive definite",
+                "a matrix that has no Cholesky factor",
+                advice="pass its row sums, if these are positive: a lumped mass",
+            ) from error
+
+    @cached
+    def _least_weight(self) -> float:
+        """The least eigenvalue of M relative to the lumped one: 1 where that is all of it."""
+        if (factor := self._mass_factor) is None:
+            return 1.0
+        root, largest = np.sqrt(self.mass[self.free]), 1.0
+        x = np.random.default_rng(0).standard_normal(factor.n)
+        for _ in range(_POWERS):  # of the inverse: a bound on rounding takes no more digits
+            x /= np.linalg.norm(x)
+            y = root * factor.solve(root * x)
+            largest, x = float(x @ y), y
+        return 1 / largest
 
     @cached
     def _rounding(self) -> float:
         """Bound on rounding in ``M^-1/2 L M^-1/2 u``, and what one triangle hides of asymmetry."""
-        L, scale = self.stiffness, 1 / np.sqrt(self.mass)
+        L, scale = self.stiffness, 1 / np.sqrt(self.mass * self._least_weight)
         magnitude = scale * (abs(L) @ scale)
         asymmetry = scale * (abs(L - L.T.tocsr()) @ scale)
         longest = int(np.diff(L.indptr).max())
@@ -249,22 +306,28 @@ class Laplacian(Rebuilt):
             raise InvalidInputError(
                 "indices", "be a vector of at least one point", f"shape {indices.shape}"
             )
-        rows = self.stiffness[indices]
-        if (np.diff(indices) > 0).all():  # at a cost that knows nothing of the other points
-            place = np.searchsorted(indices, rows.indices)
-            inside = indices[np.minimum(place, len(indices) - 1)] == rows.indices
-            starts = np.concatenate([[0], np.cumsum(inside)])[rows.indptr]
-            shape = (len(indices), len(indices))
-            block = sparse.csr_array((rows.data[inside], place[inside], starts), shape=shape)
-        else:
-            block = sparse.csr_array(rows[:, indices])
+        M = self.consistent_mass
         return Laplacian(
-            block,
+            _block(self.stiffness, indices),
             self.mass[indices],
             self.points[indices],
             operator=self.operator,
             seconds=self.seconds,
+            consistent_mass=None if M is None else _block(M, indices),
         )
+
+
+def _block(matrix: sparse.csr_array, indices: Ints) -> sparse.csr_array:
+    """Return the rows and columns of some points."""
+    rows = matrix[indices]
+    if not (np.diff(indices) > 0).all():
+        return sparse.csr_array(rows[:, indices])
+    # At a cost that knows nothing of the other points.
+    place = np.searchsorted(indices, rows.indices)
+    inside = indices[np.minimum(place, len(indices) - 1)] == rows.indices
+    starts = np.concatenate([[0], np.cumsum(inside)])[rows.indptr]
+    shape = (len(indices), len(indices))
+    return sparse.csr_array((rows.data[inside], place[inside], starts), shape=shape)
 
 
 def as_indices(name: str, values: ArrayLike, n: int) -> Ints:
@@ -275,26 +338,33 @@ def as_indices(name: str, values: ArrayLike, n: int) -> Ints:
     return check_indices(name, array if array.size else array.astype(np.int64), n)
 
 
-def lumped_diagonal(mass: Any) -> ArrayLike:
-    """Return the diagonal of a diagonal mass matrix, a column as a vector, others as they are."""
+def split_mass(name: str, mass: Any, n: int) -> tuple[ArrayLike, sparse.csr_array | None]:
+    """Return the lumped part of a mass, and all of it where it is a matrix beyond its diagonal.
+
+    Vectors, and columns, are returned as they are, to be checked as what they are.
+    """
     if not sparse.issparse(mass):
         mass = np.asarray(mass)
         if mass.ndim != 2:
-            return np.asarray(mass)
+            return mass, None
         if mass.shape[1] == 1:  # the row sums of a scipy.sparse matrix
-            return np.asarray(mass[:, 0])
-        mass = sparse.csr_array(mass)
-    diagonal: Floats = mass.diagonal()
-    coordinates = sparse.coo_array(mass)
-    off = coordinates.row != coordinates.col
-    if np.any(coordinates.data[off] != 0):
+            return mass[:, 0], None
+    if mass.shape != (n, n):
+        raise InvalidInputError(name, f"have shape ({n},) or ({n}, {n})", mass.shape)
+    matrix = _symmetric(name, mass, n)
+    diagonal: Floats = matrix.diagonal()
+    if matrix.count_nonzero() == np.count_nonzero(diagonal):
+        return diagonal, None
+    if not (diagonal > 0).all():
         raise InvalidInputError(
-            "mass",
-            "be lumped (diagonal)",
-            "a matrix with off-diagonal entries",
-            advice="pass its row sums instead",
+            name, "be positive definite", f"a diagonal entry of {diagonal.min():.3g}"
         )
-    return diagonal
+    sums: Floats = matrix.sum(axis=1)
+    if not sums.sum() > 0:
+        raise InvalidInputError(name, "be positive definite", f"entries of sum {sums.sum():.3g}")
+    if not (sums > _VANISHES * diagonal).all():  # those of quadratic elements do, at corners
+        sums = diagonal * (sums.sum() / diagonal.sum())
+    return sums, matrix
 
 
 def _check_stiffness(matrix: Any, n: int) -> sparse.csr_array:
@@ -305,30 +375,8 @@ def _check_stiffness(matrix: Any, n: int) -> sparse.csr_array:
             f"be a scipy sparse array of shape ({n}, {n})",
             f"{type(matrix).__name__} of shape {np.shape(matrix)}",
         )
-    if matrix.dtype.kind not in "fiu":
-        raise InvalidInputError("stiffness", "hold real numbers", f"dtype {matrix.dtype}")
-    stiffness = sparse.csr_array(matrix, dtype=np.float64, copy=True)
-    stiffness.sum_duplicates()
-    stiffness.eliminate_zeros()
-    if stiffness.nnz <= np.iinfo(np.int32).max:  # half the memory, and the loops of all others
-        for name in ("indices", "indptr"):
-            setattr(stiffness, name, getattr(stiffness, name).astype(np.int32, copy=False))
-    if not np.isfinite(stiffness.data).all():
-        raise InvalidInputError(
-            "stiffness",
-            "be finite",
-            f"{int((~np.isfinite(stiffness.data)).sum())} NaN or infinite entries",
-            advice="degenerate faces cause them: see {}",
-            remedies=("mesh.without_degenerate_faces()",),
-        )
+    stiffness = _symmetric("stiffness", matrix, n)
     largest = np.abs(stiffness.data).max(initial=0.0)
-    if (found := asymmetry(stiffness)) > 0:
-        raise InvalidInputError(
-            "stiffness",
-            "be symmetric",
-            f"|L - L.T| up to {found:.2e}",
-            advice="pass (L + L.T) / 2 if that is meant",
-        )
     if stiffness.diagonal().min() < -1e-12 * largest:
         raise InvalidInputError(
             "stiffness",
@@ -337,6 +385,35 @@ def _check_stiffness(matrix: Any, n: int) -> sparse.csr_array:
             advice="libigl's cotmatrix has the opposite sign: pass -L",
         )
     return stiffness
+
+
+def _symmetric(name: str, given: Any, n: int) -> sparse.csr_array:
+    """Return a copy of a matrix of shape (n, n) as a canonical csr_array, finite and symmetric."""
+    if given.dtype.kind not in "fiu":
+        raise InvalidInputError(name, "hold real numbers", f"dtype {given.dtype}")
+    matrix = sparse.csr_array(given, dtype=np.float64, copy=True)
+    matrix.sum_duplicates()
+    matrix.eliminate_zeros()
+    if matrix.nnz <= np.iinfo(np.int32).max:  # half the memory, and the loops of all others
+        for part in ("indices", "indptr"):
+            setattr(matrix, part, getattr(matrix, part).astype(np.int32, copy=False))
+    if not np.isfinite(matrix.data).all():
+        raise InvalidInputError(
+            name,
+            "be finite",
+            f"{int((~np.isfinite(matrix.data)).sum())} NaN or infinite entries",
+            advice="degenerate faces cause them: see {}",
+            remedies=("mesh.without_degenerate_faces()",),
+        )
+    if (found := asymmetry(matrix)) > 0:
+        letter = "L" if name == "stiffness" else "M"
+        raise InvalidInputError(
+            name,
+            "be symmetric",
+            f"|{letter} - {letter}.T| up to {found:.2e}",
+            advice=f"pass ({letter} + {letter}.T) / 2 if that is meant",
+        )
+    return matrix
 
 
 def with_zero_sums(stiffness: sparse.sparray) -> sparse.csr_array:

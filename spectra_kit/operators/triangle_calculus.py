@@ -9,6 +9,8 @@ The frame of a triangle has its origin at corner 0 and side 0 along x; corner 2 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
 
 from spectra_kit._core.types import Floats, Ints32
 
@@ -16,6 +18,20 @@ from spectra_kit._core.types import Floats, Ints32
 def areas(lengths: Floats) -> Floats:
     """Area of each triangle, shape (f,)."""
     return np.asarray(lengths[:, 0] * apexes(lengths)[:, 1] / 2)
+
+
+def linear_mass(simplices: NDArray[np.integer], measures: Floats, n: int) -> sparse.csr_array:
+    """Return the consistent mass of linear functions, (n, n), on triangles or tetrahedra (m, c).
+
+    Of a simplex with c corners, of this area or volume, the integral of the product of two hat
+    functions is its ``measure / (c (c + 1))``, twice that of a square.
+    """
+    corners = simplices.shape[1]
+    shares = (np.ones((corners, corners)) + np.eye(corners)) / (corners * (corners + 1))
+    entries = measures[:, None, None] * shares
+    rows = np.broadcast_to(simplices[:, :, None], entries.shape).ravel()
+    columns = np.broadcast_to(simplices[:, None, :], entries.shape).ravel()
+    return sparse.csr_array((entries.ravel(), (rows, columns)), shape=(n, n))
 
 
 def apexes(lengths: Floats) -> Floats:

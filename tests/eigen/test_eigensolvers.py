@@ -216,7 +216,7 @@ def test_what_matrices_lack(bumpy_laplacian: sk.Laplacian) -> None:
     L, M = bumpy_laplacian.stiffness, bumpy_laplacian.mass
     refused("laplacian", "be a Laplacian, or a matrix with its mass", sk.eigensolve, L, 4)
     refused("mass", "be left out", sk.eigensolve, bumpy_laplacian, 4, mass=M)
-    refused("mass", "be lumped", sk.eigensolve, L, 4, mass=L)
+    refused("mass", "be positive definite", sk.eigensolve, L, 4, mass=L)
     refused("solver", "be an exact one", sk.eigensolve, L, 4, "cascade", mass=M)
     refused("solver", "be an Eigensolver, got 'apack'", sk.eigensolve, L, 4, "apack", mass=M)
 

@@ -18,8 +18,9 @@ from spectra_kit import (
     cotan_laplacian,
     eigensolve,
     robust_laplacian,
+    verify,
 )
-from spectra_kit.errors import IgnoredContentWarning, InvalidSpectrumError
+from spectra_kit.errors import InvalidSpectrumError
 from spectra_kit.geometry import rectangle, sphere
 from spectra_kit.interop import (
     from_arrays,
@@ -153,7 +154,7 @@ def test_what_is_refused(spectrum, bumpy_laplacian) -> None:
             InvalidInputError,
             "be M-orthonormal.*pass it whole",
         ),
-        (lambda: from_arrays(VALUES, VECTORS, -BESIDE), InvalidInputError, "positive row sums"),
+        (lambda: from_arrays(VALUES, VECTORS, -BESIDE), InvalidInputError, "positive definite"),
         (lambda: from_arrays(VALUES, VECTORS, BESIDE[:2]), InvalidInputError, "have shape .4,. or"),
         (lambda: from_arrays(-VALUES, VECTORS, ONES), InvalidInputError, "up to rounding, got -"),
         (lambda: from_diffusion_net((U, mass)), InvalidInputError, "got 2 entries"),
@@ -205,15 +206,6 @@ def test_adapters_there_and_back(spectrum, bumpy_laplacian) -> None:
     assert abs(L.to_dense().numpy() - bumpy_laplacian.stiffness.toarray()).max() < 1e-6
 
 
-def consistent_mass(mesh) -> sparse.csr_array:
-    """The mass of linear finite elements: a sixth of the area on the diagonal, a twelfth beside."""
-    corners = mesh.points[mesh.faces]
-    areas = np.linalg.norm(np.cross(*(corners[:, 1:] - corners[:, :1]).transpose(1, 0, 2)), axis=1)
-    i, j = (np.tile(mesh.faces, (1, 3)).ravel(), np.repeat(mesh.faces, 3, axis=1).ravel())
-    entries = np.repeat(areas / 2, 9) * np.where(i == j, 1 / 6, 1 / 12)
-    return sparse.csr_array(sparse.coo_array((entries, (i, j)), shape=(mesh.n, mesh.n)))
-
-
 @pytest.mark.parametrize(
     "form",
     [
@@ -226,22 +218,18 @@ def consistent_mass(mesh) -> sparse.csr_array:
         lambda mass: mass.toarray().tolist(),
     ],
 )
-def test_modes_of_a_full_mass_are_carried_over_to_its_row_sums(form) -> None:
-    mesh = bumpy()
-    stiffness, mass = cotan_laplacian(mesh).stiffness, consistent_mass(mesh)
-    lumped = Laplacian(stiffness, mass.sum(axis=1), mesh.points)
+def test_modes_of_a_full_mass_are_taken_as_they_are(form) -> None:
+    laplacian = cotan_laplacian(bumpy(), mass="consistent")
+    stiffness, mass = laplacian.stiffness, laplacian.consistent_mass
     values, vectors = linalg.eigh(stiffness.toarray(), mass.toarray(), subset_by_index=(0, 19))
-    truth = eigensolve(lumped, 20)
-    with pytest.warns(IgnoredContentWarning, match="beside its diagonal.*lump=True"):
-        brought = from_arrays(values, vectors, form(mass))
-    assert np.array_equal(brought.mass, lumped.mass)
+    brought = from_arrays(values, vectors, form(mass))
     assert brought.orthonormality_error() < 1e-12
-    assert np.linalg.matrix_rank(np.hstack([vectors, brought.eigenvectors]), tol=1e-8) == 20
-    # Ritz values: above those of the lumped problem, and far nearer than what was brought.
-    excess = brought.eigenvalues[1:] / truth.eigenvalues[1:] - 1
-    assert excess.min() > -1e-9
-    assert excess.max() < 0.02 * (values[1:] / truth.eigenvalues[1:] - 1).max()
-    assert brought.certify(lumped).certificate.level == "residuals"
+    assert np.array_equal(brought.eigenvectors, vectors)
+    assert brought.mass == pytest.approx(laplacian.mass, rel=1e-14)
+    assert verify(brought, laplacian).certificate.level == "verified"
+    back = to_pyfm(brought, laplacian)["mass"]
+    assert abs(back - mass).max() == 0
+    refused("laplacian", "have the mass", brought.certify, cotan_laplacian(bumpy()))
 
 
 def test_a_mass_that_is_diagonal_in_any_form_is_the_lumped_one(spectrum) -> None:
@@ -249,13 +237,6 @@ def test_a_mass_that_is_diagonal_in_any_form_is_the_lumped_one(spectrum) -> None
     stored = sparse.coo_array(sparse.diags_array(mass) + 0 * sparse.eye_array(642, k=1))
     for form in (mass, mass[:, None], np.diag(mass), sparse.diags(mass), stored):
         assert np.array_equal(from_arrays(*arrays, form).mass, mass)
-
-
-def test_the_advice_for_a_full_mass_makes_a_laplacian(bumpy_laplacian) -> None:
-    mass, L = sparse.csc_matrix(consistent_mass(bumpy())), bumpy_laplacian
-    with pytest.raises(InvalidInputError, match="pass its row sums instead"):
-        Laplacian(L.stiffness, mass, L.points)
-    assert Laplacian(L.stiffness, mass.sum(axis=1), L.points).mass.shape == (L.n,)
 
 
 @pytest.mark.parametrize("sizes", [(1.0, 1.0), (1.0, 1000.0), (7.0, 0.02)])

@@ -259,7 +259,9 @@ def coarsen(operator: Laplacian | Coarse, n_points: int) -> Coarse:
     lift = prolongation(operator, subset)
     restrict = sparse.csr_array(lift.T)
     if isinstance(operator, Laplacian):
-        mass, lumped = sparse.csr_array(sparse.diags_array(operator.mass)), operator.mass
+        mass, lumped = operator._weights, operator.mass
+        if mass is lumped:
+            mass = sparse.csr_array(sparse.diags_array(lumped))
     else:
         mass, lumped = operator.mass, operator.lumped
     share = np.asarray(abs(restrict) @ lumped)

@@ -43,8 +43,11 @@ class Smoothing:
     @classmethod
     def of(cls, operator: Laplacian | Coarse, device: str = "cpu") -> Smoothing:
         """Prepare an operator for columns on a device; "cpu" means arrays."""
-        L, M = operator.stiffness, operator.mass
-        lumped = operator.mass if isinstance(operator, Laplacian) else operator.lumped
+        L = operator.stiffness
+        if isinstance(operator, Laplacian):
+            M, lumped = operator._weights, operator.mass
+        else:
+            M, lumped = operator.mass, operator.lumped
         diagonal, highest = preconditioner(L, lumped)
         L, M, diagonal = (on_device(part, device) for part in (L, M, diagonal))
         singles = operations(diagonal).smoother(L, M, diagonal)
