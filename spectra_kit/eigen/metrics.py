@@ -8,19 +8,23 @@ metrics) and, beside them, whole clusters of near-equal eigenvalues as subspaces
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count, check_mass
+from spectra_kit._sparse.host import Weights
 from spectra_kit._sparse.orthonormal import orthonormalize
+from spectra_kit._sparse.products import weighed
 from spectra_kit.eigen.spectrum import Spectrum
 from spectra_kit.eigen.subspaces.base import Subspace, restricted
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.operators.laplacian import Laplacian
+from spectra_kit.operators.laplacian import Laplacian, split_mass
 
 # Moving one place in the order must win this much squared cosine: modes that nothing
 # resembles stay where they are.
@@ -104,15 +108,17 @@ class Comparison(Rebuilt):
 
 
 @checked
-def span_error(basis: NDArray[np.floating], mass: Floats, eigenvectors: Floats) -> Floats:
+def span_error(
+    basis: NDArray[np.floating], mass: Annotated[Floats, sparse.sparray], eigenvectors: Floats
+) -> Floats:
     """Energy of each eigenvector outside the span of a basis.
 
     Parameters
     ----------
     basis : ndarray of shape (n, m)
         Any columns; they are M-orthonormalised first.
-    mass : ndarray of shape (n,)
-        Lumped mass, in length^2.
+    mass : ndarray of shape (n,), or sparse array of shape (n, n)
+        M, in length^2: lumped, or a matrix.
     eigenvectors : ndarray of shape (n, k)
         M-orthonormal columns.
 
@@ -134,15 +140,16 @@ def span_error(basis: NDArray[np.floating], mass: Floats, eigenvectors: Floats) 
     array([0., 1.])
     """
     basis, eigenvectors = np.asarray(basis), np.asarray(eigenvectors)
-    mass = check_mass("mass", mass, np.size(mass))
-    n = len(mass)
+    n = np.shape(mass)[0]
+    lumped, consistent = split_mass("mass", mass, n)
+    weights: Weights = check_mass("mass", lumped, n) if consistent is None else consistent
     for name, array in (("basis", basis), ("eigenvectors", eigenvectors)):
         if array.ndim != 2 or len(array) != n:
             raise InvalidInputError(
                 name, f"have shape ({n}, columns) like the {n} masses", array.shape
             )
-    _check_orthonormal("eigenvectors", eigenvectors, mass)
-    return _outside(orthonormalize(basis, mass), mass, eigenvectors)
+    _check_orthonormal("eigenvectors", eigenvectors, weights)
+    return _outside(orthonormalize(basis, weights), weights, eigenvectors)
 
 
 @checked
@@ -181,11 +188,13 @@ def subspace_span_error(
     >>> bool(error.max() < 0.01)
     True
     """
-    _check_orthonormal("exact", exact.eigenvectors, exact.mass)
+    _check_orthonormal("exact", exact.eigenvectors, exact._weights)
     inside, dimension = np.zeros(exact.k), 0
     for label in range(laplacian.n_components):
         part = np.flatnonzero(laplacian.component_labels == label)
-        mass, found = laplacian.mass[part], predicted.eigenvectors[part]
+        mass, found = exact.mass[part], predicted.eigenvectors[part]
+        M = exact.consistent_mass
+        weights = mass if M is None else sparse.csr_array(M[part][:, part])
         # Three points have no frame to predict in.
         own = restricted(subspace, part)
         basis = [np.asarray(own(laplacian.points[part], mass))] if len(part) > 3 else []
@@ -194,8 +203,8 @@ def subspace_span_error(
         columns = np.hstack([*basis, found])
         columns = columns[:, columns.any(axis=0)]  # what lives on other components
         if columns.shape[1]:
-            Y = orthonormalize(columns, mass)
-            inside += np.sum((Y.T @ (mass[:, None] * exact.eigenvectors[part])) ** 2, axis=0)
+            Y = orthonormalize(columns, weights)
+            inside += np.sum((Y.T @ weighed(weights, exact.eigenvectors[part])) ** 2, axis=0)
             dimension += Y.shape[1]
     return np.clip(1.0 - inside, 0.0, 1.0), dimension
 
@@ -249,13 +258,13 @@ def compare_spectra(
     0.0
     """
     k, match, clusters, open_from = _pair(exact, predicted, k, cluster_gap)
-    mass, U, V = exact.mass, exact.eigenvectors[:, :k], predicted.eigenvectors[:, match]
+    M, U, V = exact._weights, exact.eigenvectors[:, :k], predicted.eigenvectors[:, match]
     values, other = exact.eigenvalues[:k], predicted.eigenvalues[match]
 
-    cosines = np.einsum("n,nk,nk->k", mass, U, V)
-    vector_error = _squared_norm(U - V * np.copysign(1.0, cosines), mass)
-    aligned = _rotate_within(clusters, mass, U, V)
-    difference = _squared_norm(U - aligned, mass)
+    cosines = np.einsum("nk,nk->k", weighed(M, U), V)
+    vector_error = _squared_norm(U - V * np.copysign(1.0, cosines), M)
+    aligned = _rotate_within(clusters, M, U, V)
+    difference = _squared_norm(U - aligned, M)
     cluster_error = np.concatenate([np.full(b - a, difference[a:b].mean()) for a, b in clusters])
     zero = min(exact.n_zero_modes, k)
     relative = np.full(k, np.nan)
@@ -267,12 +276,12 @@ def compare_spectra(
             raise InvalidInputError(
                 "basis", f"have shape ({exact.n}, m) like the spectra", np.shape(basis)
             )
-        Y = orthonormalize(basis, mass)
+        Y = orthonormalize(basis, M)
     return Comparison(
         eigenvalues=values,
         predicted_eigenvalues=other,
         match=match,
-        span_error=_outside(Y, mass, U),
+        span_error=_outside(Y, M, U),
         span_dimension=Y.shape[1],
         vector_error=vector_error,
         eigenvalue_error=relative,
@@ -317,7 +326,7 @@ def align_modes(
         comparison = compare_spectra(exact, predicted)
     return _rotate_within(
         comparison.clusters,
-        exact.mass,
+        exact._weights,
         exact.eigenvectors[:, : comparison.k],
         predicted.eigenvectors[:, comparison.match],
     )
@@ -352,12 +361,12 @@ def _pair(
     if not cluster_gap >= 0:
         raise InvalidInputError("cluster_gap", "be at least 0", f"{cluster_gap!r}")
     for name, spectrum in (("exact", exact), ("predicted", predicted)):
-        _check_orthonormal(name, spectrum.eigenvectors, spectrum.mass)
+        _check_orthonormal(name, spectrum.eigenvectors, spectrum._weights)
     most = min(exact.k, predicted.k)
     k = most if k is None else check_count("k", k, low=1, high=most)
 
     U = exact.eigenvectors[:, :k]
-    cosines = (exact.mass[:, None] * U).T @ predicted.eigenvectors
+    cosines = exact._weighed(U).T @ predicted.eigenvectors
     moved = np.abs(np.arange(k)[:, None] - np.arange(predicted.k)[None, :])
     _, match = linear_sum_assignment(_MOVE_COST * moved - cosines**2)
 
@@ -368,10 +377,10 @@ def _pair(
     return k, np.asarray(match, dtype=np.int64), clusters, k if complete else clusters[-1][0]
 
 
-def _check_orthonormal(name: str, modes: NDArray[np.floating], mass: Floats) -> None:
+def _check_orthonormal(name: str, modes: Floats, mass: Weights) -> None:
     """Refuse modes whose cosines and energies would not be those of M-orthonormal ones."""
-    gram = modes.T @ (mass[:, None] * modes)
-    error = float(np.abs(gram - np.eye(len(gram))).max(initial=0.0))
+    inside = modes.T @ weighed(mass, modes)
+    error = float(np.abs(inside - np.eye(len(inside))).max(initial=0.0))
     if not error <= _ORTHONORMAL:
         raise InvalidInputError(
             name,
@@ -394,23 +403,23 @@ def _cluster_starts(exact: Spectrum, gap: float) -> Ints:
 
 
 def _rotate_within(
-    clusters: tuple[tuple[int, int], ...], mass: Floats, U: Floats, V: Floats
+    clusters: tuple[tuple[int, int], ...], mass: Weights, U: Floats, V: Floats
 ) -> Floats:
     """Rotate the columns of V inside each cluster as close to U as they get (Procrustes)."""
     aligned = np.empty_like(U)
     for start, stop in clusters:
         cluster = slice(start, stop)
-        left, _, right = np.linalg.svd(V[:, cluster].T @ (mass[:, None] * U[:, cluster]))
+        left, _, right = np.linalg.svd(V[:, cluster].T @ weighed(mass, U[:, cluster]))
         aligned[:, cluster] = V[:, cluster] @ (left @ right)
     return aligned
 
 
-def _outside(Y: Floats, mass: Floats, U: Floats) -> Floats:
+def _outside(Y: Floats, mass: Weights, U: Floats) -> Floats:
     """``1 - |Y^T M u_i|^2`` for M-orthonormal Y, clipped to [0, 1] against rounding."""
-    inside = np.sum((Y.T @ (mass[:, None] * U)) ** 2, axis=0)
+    inside = np.sum((Y.T @ weighed(mass, U)) ** 2, axis=0)
     return np.asarray(np.clip(1.0 - inside, 0.0, 1.0))
 
 
-def _squared_norm(columns: Floats, mass: Floats) -> Floats:
+def _squared_norm(columns: Floats, mass: Weights) -> Floats:
     """M-norm of each column, squared."""
-    return np.asarray(np.einsum("n,nk,nk->k", mass, columns, columns))
+    return np.asarray(np.einsum("nk,nk->k", weighed(mass, columns), columns))

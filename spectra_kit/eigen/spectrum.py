@@ -280,14 +280,17 @@ class Spectrum(Rebuilt):
     @cached
     def _products(self) -> Floats:
         """``U^T M U``."""
-        M = self.mass if self.consistent_mass is None else self.consistent_mass
-        return frozen(gram(M, self.eigenvectors))
+        return frozen(gram(self._weights, self.eigenvectors))
+
+    @property
+    def _weights(self) -> Floats | sparse.csr_array:
+        """M: its diagonal, or all of it."""
+        return self.mass if self.consistent_mass is None else self.consistent_mass
 
     def _weighed(self, f: Floats) -> Floats:
         """``M f`` of one function, (n,), or several, (n, c)."""
-        if self.consistent_mass is None:
-            return np.asarray((self.mass * f.T).T)
-        return weighed(self.consistent_mass, f) if f.ndim == 2 else self.consistent_mass @ f
+        columns = f if f.ndim == 2 else f[:, None]
+        return np.asarray(weighed(self._weights, columns)).reshape(f.shape)
 
     def orthonormality_error(self) -> float:
         """Return the largest entry of ``|U^T M U - I|``; 0 without any modes."""

@@ -9,6 +9,7 @@ from conftest import bumpy, joined, refused, two_parts
 from scipy import linalg, sparse
 
 import spectra_kit as sk
+from spectra_kit.eigen.metrics import compare_spectra
 from spectra_kit.geometry import rectangle, sphere, torus
 
 EXACT = [sk.Arpack(), sk.Lanczos(), sk.Dense(), sk.Refined(rtol=1e-10)]
@@ -204,3 +205,22 @@ def test_what_is_refused() -> None:
         at,
         consistent_mass=sparse.triu(M),
     )
+
+
+def test_who_consumes_such_a_spectrum() -> None:
+    mesh = sphere(subdivisions=4).geometry
+    laplacian = sk.cotan_laplacian(mesh, mass="consistent")
+    s = sk.eigensolve(laplacian, 50)
+    found = compare_spectra(s, sk.eigensolve(laplacian, 49, sk.Lanczos(seed=3)))
+    assert max(found.cluster_error.max(), found.span_error.max()) < 1e-12
+    truth = np.arccos(np.clip(mesh.points @ mesh.points[0], -1, 1))
+    plain, deflated = (
+        sk.HeatGeodesics(mesh, spectrum=given).distance(0).distance for given in (None, s)
+    )
+    assert deflated == pytest.approx(plain, abs=1e-4)
+    assert np.abs(plain - truth).max() < 0.05
+    # Of a sphere, heat kernels are the same at all points.
+    times = np.geomspace(0.1, 1, 4)
+    heat = sk.features.heat_kernel_signature(s, times=times)
+    exact = sum((2 * l + 1) * np.exp(-l * (l + 1) * times) for l in range(7)) / (4 * np.pi)
+    assert heat == pytest.approx(np.tile(exact, (mesh.n, 1)), rel=0.01)
