@@ -113,6 +113,7 @@ def batch(asked: BatchOptions) -> None:
         solver=solving.make_solver(asked.solver, asked, asked.k),
         operator=asked.operator,  # type: ignore[arg-type]
         boundary=asked.boundary,
+        mass=asked.mass,
         repair=asked.repair,
         largest=asked.largest,
         cloud=asked.cloud,

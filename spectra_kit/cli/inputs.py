@@ -138,4 +138,9 @@ def prepare(asked: OnOne) -> tuple[sk.geometry.Geometry, sk.Laplacian]:
 
 def assemble(asked: Operator, geometry: sk.geometry.Geometry) -> sk.Laplacian:
     """Assemble the operator with its boundary condition."""
-    return sk.laplacian(geometry, operator=asked.operator, boundary=asked.boundary)  # type: ignore[arg-type]
+    return sk.laplacian(
+        geometry,
+        operator=asked.operator,  # type: ignore[arg-type]
+        boundary=asked.boundary,
+        mass=asked.mass,
+    )

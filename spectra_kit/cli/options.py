@@ -138,6 +138,8 @@ class Operator(Read, group="operator"):
     """Laplacian (default: robust for meshes, delaunay for clouds)"""
     boundary: Literal["neumann", "dirichlet"] = "neumann"
     """of a mesh with a boundary"""
+    mass: Literal["lumped", "consistent"] = "lumped"
+    """of linear elements: its row sums, or the matrix as it is"""
 
 
 @dataclass(frozen=True, kw_only=True)

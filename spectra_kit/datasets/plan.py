@@ -35,6 +35,8 @@ class Plan:
         The Laplacian; by default that of `operators.laplacian`.
     boundary : {"neumann", "dirichlet"}, default "neumann"
         Of meshes with a boundary.
+    mass : {"lumped", "consistent"}, default "lumped"
+        As of `operators.laplacian`.
     repair : bool, default False
         Join seams, merge duplicates, drop degenerate faces and unused vertices, and turn faces, as
         `geometry.repair` does; and leave NaN points of files out, as `geometry.without_nan` does.
@@ -67,6 +69,7 @@ class Plan:
     solver: Eigensolver = Automatic()  # noqa: RUF009
     operator: Literal["robust", "cotan", "knn", "delaunay"] | None = None
     boundary: Literal["neumann", "dirichlet"] = "neumann"
+    mass: Literal["lumped", "consistent"] = "lumped"
     repair: bool = False
     largest: bool = False
     cloud: int | None = None
@@ -119,7 +122,8 @@ class Plan:
     def _making(self) -> dict[str, Any]:
         """How operators are made: where the solver works."""
         where = device_of(self.solver)
-        return {"operator": self.operator, "boundary": self.boundary, "device": where}
+        own = {name: getattr(self, name) for name in ("operator", "boundary", "mass")}
+        return {**own, "device": where}
 
     def gigabytes(self, n: int) -> float:
         """Estimate what the modes of n points take while they are solved for, in GiB.
@@ -137,6 +141,7 @@ class Plan:
             "solver": repr(self.solver),
             "operator": self.operator,
             "boundary": self.boundary,
+            "mass": self.mass,
             "precision": self.precision,
             "release": VERSION,
         }

@@ -128,7 +128,7 @@ class SpectrumStore:
         self.keep_shape(shape)
         made = made.described(made.certificate, replace(made.provenance, seconds={}))
         vectors = made.eigenvectors.astype(plan.precision)
-        arrays = {"eigenvalues": made.eigenvalues, "eigenvectors": vectors, "mass": made.mass}
+        arrays = made._arrays | {"eigenvectors": vectors}
         with self._new("spectra", facts_digest(facts)) as path:
             write_spectrum_file(path, arrays, made.certificate, made.provenance, facts=facts)
         return replace(made, eigenvectors=vectors)

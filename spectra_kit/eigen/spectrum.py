@@ -347,10 +347,15 @@ class Spectrum(Rebuilt):
         OSError
             If it cannot be written.
         """
+        write_spectrum_file(Path(path), self._arrays, self.certificate, self.provenance)
+
+    @property
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        """What a file holds of it, by name."""
         arrays = {n: getattr(self, n) for n in ("eigenvalues", "eigenvectors", "mass")}
         if (M := self.consistent_mass) is not None:
             arrays |= {f"mass_{name}": getattr(M, name) for name in ("data", "indices", "indptr")}
-        write_spectrum_file(Path(path), arrays, self.certificate, self.provenance)
+        return arrays
 
     @classmethod
     def load(cls, path: str | Path, *, mmap: bool = False) -> Spectrum:

@@ -36,6 +36,7 @@ def laplacian_many(
     *,
     operator: Literal["robust", "cotan", "knn", "delaunay"] | None = None,
     boundary: Literal["neumann", "dirichlet"] = "neumann",
+    mass: Literal["lumped", "consistent"] = "lumped",
     device: str = "cpu",
 ) -> list[Laplacian]:
     """Build the Laplacian of each of many geometries, as `laplacian` does.
@@ -48,7 +49,7 @@ def laplacian_many(
     ----------
     geometries : sequence of TriangleMesh and PointCloud
         Of any sizes.
-    operator, boundary
+    operator, boundary, mass
         As of `laplacian`, for all of them.
     device : str, default "cpu"
         As of `delaunay_laplacian`; all of meshes, and other operators, are the host's.
@@ -80,7 +81,8 @@ def laplacian_many(
     >>> [laplacian.n for laplacian in sk.laplacian_many(clouds)]
     [900, 900, 900]
     """
-    on_device = off_host(device) and operator not in ("cotan", "knn") and boundary == "neumann"
+    on_device = off_host(device) and operator not in ("cotan", "knn")
+    on_device = on_device and (boundary, mass) == ("neumann", "lumped")
     clouds = {i: one for i, one in enumerate(geometries) if isinstance(one, PointCloud)}
     clouds = clouds if on_device else {}
 
@@ -88,7 +90,8 @@ def laplacian_many(
         with about(_name(i)), single_threaded(), hearing() as heard:
             if begun:
                 return i, cloud_triangulation(*begun).laplacian, heard
-            return i, laplacian(geometries[i], operator=operator, boundary=boundary), heard
+            own = laplacian(geometries[i], operator=operator, boundary=boundary, mass=mass)
+            return i, own, heard
 
     built = in_threads(one, [(i,) for i in range(len(geometries)) if i not in clouds])
     for some in _built(clouds, device, partial(in_threads, one)):
