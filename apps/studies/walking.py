@@ -1,13 +1,15 @@
-"""Paths, vectors and curvature beside potpourri3d and libigl, on real models and on dirty ones.
+"""Paths, vectors and curvature beside other libraries, on real models and on dirty ones.
 
     python apps/studies/run.py walking OUT             # ten minutes; needs SPECTRA_KIT_DATA
     python apps/studies/run.py walking OUT --models bunny spot --dirty 40
 
-Models are those of `ood_public`. Of paths: the search from one vertex, one path after it, and how
-much longer than the shortest those are that potpourri3d's edge flips find. Of vectors: set-up with
-the first transport, and the next, of both; and the angle between both. Of curvature: seconds, and
-the rank correlation of mean curvatures with libigl's, which fits quadrics to five rings. Seconds
-are by the clock, of the quicker of two turns.
+Models are those of `ood_public`. Of paths: the search from one vertex, one path after it; how far
+lengths are from libigl's exact distances, in the worst case, and from those of pygeodesic, where it
+is installed, with the seconds of their searches for these ten; and how much longer than the
+shortest those are that potpourri3d's edge flips find. Of vectors: set-up with the first transport,
+and the next, of both; and the angle between both. Of curvature: seconds, and the rank correlation
+of mean curvatures with those of libigl, which fits quadrics to five rings, and of LaPy, which takes
+angles between faces. Seconds are by the clock, of the quicker of two turns.
 
 Dirty meshes are of the training pool, with a boundary, edges of more than two faces, or several
 parts. A path is right where it is as long as the exact distance; potpourri3d's, which are shortest
@@ -22,6 +24,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
+from importlib import import_module
 from typing import Any
 
 import igl
@@ -45,6 +48,7 @@ _MODELS += ["spot"]
 _LONGER = 1.01  # than the shortest, at which a path of flips still counts as found
 _PATHS = {
     **{"model": "", "points": "d", "search s": ".1f", "path ms": ".2f", "worst ms": ".1f"},
+    **{"libigl s": ".1f", "apart": ".0e", "pygeodesic s": ".1f", "apart from it": ".0e"},
     **{"flips s": ".2f", "their length": ".4f", "longest": ".4f"},
 }
 _VECTORS = {
@@ -53,7 +57,7 @@ _VECTORS = {
 }
 _CURVATURE = {
     **{"model": "", "points": "d", "ours s": ".2f", "libigl s": ".2f", "rank correlation": ".2f"},
-    "not known": ".1%",
+    **{"LaPy s": ".2f", "with LaPy's": ".2f", "not known": ".1%"},
 }
 _DIRTY = {"verb": "", "who": "", "right": "d", "wrong": "d", "refused": "d"}
 
@@ -94,6 +98,7 @@ def _of_paths(mesh: TriangleMesh, count: int) -> Record:
     took = [_timed(partial(paths.to, end))[0] for end in ends]
     record: Record = {"search s": search, "path ms": 1e3 * np.mean(took)}
     record["worst ms"] = 1e3 * np.max(took)
+    record |= _exactly(mesh, source, ends[:10], paths)
     try:
         made, solver = _timed(lambda: pp3d.EdgeFlipGeodesicSolver(mesh.points, mesh.faces))
         lines = [_timed(partial(solver.find_geodesic_path, source, end)) for end in ends[:10]]
@@ -102,6 +107,21 @@ def _of_paths(mesh: TriangleMesh, count: int) -> Record:
     longer = [_length(line) / paths.distances[e] for (_, line), e in zip(lines, ends, strict=False)]
     flips = made + np.mean([seconds for seconds, _ in lines])
     return record | {"flips s": flips, "their length": np.mean(longer), "longest": max(longer)}
+
+
+def _exactly(mesh: TriangleMesh, source: int, ends: list[int], paths: GeodesicPaths) -> Record:
+    """Return how far lengths are from those of other exact solvers."""
+    points, faces, none = np.array(mesh.points), np.array(mesh.faces), np.empty(0, np.int64)
+    where = np.array([source]), none, np.array(ends), none
+    seconds, theirs = _timed(lambda: igl.exact_geodesic(points, faces, *where), turns=1)
+    own = np.array([paths.to(end).length for end in ends])
+    record: Record = {"libigl s": seconds, "apart": np.abs(theirs / own - 1).max()}
+    if (pygeodesic := _installed("pygeodesic.geodesic")) is None:
+        return record
+    solver = pygeodesic.PyGeodesicAlgorithmExact(points, faces)
+    where = np.array([source]), np.array(ends)
+    seconds, (found, _) = _timed(lambda: solver.geodesicDistances(*where), turns=1)
+    return record | {"pygeodesic s": seconds, "apart from it": np.abs(found / own - 1).max()}
 
 
 def _of_vectors(mesh: TriangleMesh) -> Record:
@@ -129,7 +149,12 @@ def _of_curvature(mesh: TriangleMesh) -> Record:
     known = np.isfinite(found.mean)
     alike = abs(spearmanr(found.mean[known], (larger + smaller)[known]).statistic)
     record: Record = {"ours s": ours, "libigl s": theirs, "rank correlation": alike}
-    return record | {"not known": 1 - known.mean()}
+    record["not known"] = 1 - known.mean()
+    if (lapy := _installed("lapy")) is not None:
+        seconds, bent = _timed(lambda: lapy.TriaMesh(points, faces).curvature(3), turns=1)
+        alike = abs(spearmanr(found.mean[known], bent[4][known]).statistic)
+        record |= {"LaPy s": seconds, "with LaPy's": alike}
+    return record
 
 
 def _of_dirt(count: int) -> list[Record]:
@@ -203,6 +228,14 @@ def _their_vectors(mesh: TriangleMesh, source: int, vector: Any) -> tuple[Any, A
     x, y, _ = solver.get_tangent_frames()
     found = solver.transport_tangent_vector(source, [vector @ x[source], vector @ y[source]])
     return solver, found[:, :1] * x + found[:, 1:] * y
+
+
+def _installed(module: str) -> Any:
+    """Return a library that is beside us if it is installed."""
+    try:
+        return import_module(module)
+    except ImportError:
+        return None
 
 
 def _length(line: Any) -> float:
