@@ -52,6 +52,7 @@ class BatchOptions(options.Operator, options.Solver, Workers):
     examples = (
         "batch scans --out store",
         "batch 'scans/*.ply' --out store --csv table.csv --descriptors hks",
+        "batch 'subjects/{subject}/surf/{hemisphere}.pial' --out store --csv table.csv",
         "batch subjects.csv --out store --shard 3/100 --nworkers 0",
     )
     keys = "inputs, computed, known, failed, replaced, renewed, seconds, store, csv"
@@ -59,8 +60,8 @@ class BatchOptions(options.Operator, options.Solver, Workers):
     needs = ("datasets.compute_all",)
 
     paths: tuple[str, ...] = field(kw_only=False)
-    """files, folders, quoted patterns, or a manifest: a .csv with a column `file`, perhaps `name`,
-    and more for the table"""
+    """files, folders, quoted patterns, in which {subject} names a column of the table, or a
+    manifest: a .csv with a column `file`, perhaps `name`, and more for the table"""
     k: options.Count = 96
     solver: options.SolverName = "automatic"
     out: Annotated[Path, Parameter(alias="-o", metavar="STORE")]
@@ -68,6 +69,8 @@ class BatchOptions(options.Operator, options.Solver, Workers):
     csv: Path | None = None
     """write a row for each shape to this .csv file: eigenvalues, area, components, warnings
     (default: none)"""
+    distances: Path | None = None
+    """write how far shapes are apart by their ShapeDNA to this .csv file (default: none)"""
     descriptors: Annotated[
         tuple[str, ...], Parameter(converter=options.words, n_tokens=1, metavar="NAME,...")
     ] = ()
@@ -105,9 +108,12 @@ def batch(asked: BatchOptions) -> None:
 
     solving.check_solvers(asked, asked.solver)
     inputs = part_of(asked, sk.datasets.find_inputs(asked.paths))
-    if asked.csv:
-        check_output(asked.csv, [".csv"], [*map(Path, asked.paths), *(one.path for one in inputs)])
-        check_columns(inputs)
+    for path in filter(None, (asked.csv, asked.distances)):
+        check_output(path, [".csv"], [*map(Path, asked.paths), *(one.path for one in inputs)])
+    check_columns(inputs)
+    wanted = asked.descriptors
+    if asked.distances and "dna" not in wanted:
+        wanted = (*wanted, "dna")
     plan = sk.datasets.Plan(
         k=asked.k,
         solver=solving.make_solver(asked.solver, asked, asked.k),
@@ -118,7 +124,7 @@ def batch(asked: BatchOptions) -> None:
         largest=asked.largest,
         cloud=asked.cloud,
         seed=asked.seed,
-        descriptors=asked.descriptors,  # type: ignore[arg-type]
+        descriptors=wanted,  # type: ignore[arg-type]
         operators=("stiffness", "gradient") if asked.tensors else (),
         precision=asked.precision,
     )
@@ -128,6 +134,8 @@ def batch(asked: BatchOptions) -> None:
         report = sk.datasets.compute_all(
             inputs, store, plan, engine=engine, strict=asked.strict, progress=progress
         )
+    if asked.distances and len(report.completed) > 1:
+        sk.datasets.write_distances(asked.distances, report)
     tell_run(asked, report, asked.out)
 
 

@@ -8,7 +8,7 @@
 `compute_all`    all of them into a store; failures are told beside results
 `find_pairs`     all shapes of a store with all others, or the pairs of a table
 `match_all`      the maps of all of them into that store; `load_match` reads one
-`write_table`    a row for each shape, or for each pair, as CSV
+`write_table`    a row for each shape, or for each pair, as CSV; `write_distances` by ShapeDNA
 `shard`          a part of either, for runs that share nothing but the store
 `DaskEngine`     the processes of this machine, or of a cluster, as workers
 ===============  ==============================================================================

@@ -19,5 +19,6 @@ from .run import Task as Task
 from .shapes import complete as complete
 from .shapes import compute_all as compute_all
 from .store import SpectrumStore as SpectrumStore
+from .table import write_distances as write_distances
 from .table import write_table as write_table
 from .workers import DaskEngine as DaskEngine

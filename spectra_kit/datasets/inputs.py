@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 import glob
 import os
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 from typing import TypeVar
@@ -24,6 +25,7 @@ from spectra_kit.geometry.formats.foreign import advice_for
 from spectra_kit.geometry.io import READERS, readable_files
 
 _PATTERN = "*?["
+_FIELD = re.compile(r"\{([A-Za-z_]\w*)\}")  # of a pattern
 _FILE = "file"  # column of a manifest
 _ENDS = ("source", "target")  # columns of a table of pairs
 _ALL = "all"  # instead of such a table
@@ -83,7 +85,8 @@ def find_inputs(sources: Sequence[str | os.PathLike[str]]) -> list[Input]:
     ----------
     sources : sequence of path-like
         Files of any format that `geometry.read` knows; patterns with ``*``, ``?``, ``[]`` and
-        ``**``; folders, of which all such files are taken, those of folders inside, too; and
+        ``**``, where ``{subject}`` is any part of a name, and becomes a column of the table;
+        folders, of which all such files are taken, those of folders inside, too; and
         manifests: CSV files whose column ``file`` names files, relative to the manifest. A column
         ``name`` names them otherwise, further ones are handed on to the table. Links to folders are
         followed; one to nothing is a file that cannot be read.
@@ -208,11 +211,29 @@ def _inputs_of(source: str) -> Iterator[Input]:
         yield from _listed(path)
     elif path.is_dir():
         yield from _some(source, _inside(path), "hold meshes or clouds")
+    elif _FIELD.search(source) and not path.exists():
+        yield from _of_fields(source)
     elif any(sign in source for sign in _PATTERN) and not path.exists():
         matches = map(Path, glob.glob(source, recursive=True))
         yield from _some(source, matches, "match meshes or clouds")
     else:
         yield Input(name=path.as_posix(), path=path)  # to read it will tell what is wrong with it
+
+
+def _of_fields(source: str) -> Iterator[Input]:
+    """Return what a pattern with ``{fields}`` matches, with these as columns."""
+    pieces, known, written = _FIELD.split(source), set[str](), ""
+    for i, piece in enumerate(pieces):
+        if i % 2 == 0:  # between fields; which files there are, glob tells
+            signs = re.split(r"(\*+|\?|\[[^]]*\])", piece)
+            written += "".join(".*" if j % 2 else re.escape(sign) for j, sign in enumerate(signs))
+        else:
+            written += f"(?P={piece})" if piece in known else f"(?P<{piece}>[^/]+?)"
+            known.add(piece)
+    matches = (re.fullmatch(written, p) for p in glob.glob(_FIELD.sub("*", source), recursive=True))
+    found = {Path(one.string).as_posix(): one.groupdict() for one in matches if one}
+    for one in _some(source, map(Path, found), "match meshes or clouds"):
+        yield replace(one, columns=found[one.name])
 
 
 def _inside(folder: Path, above: frozenset[tuple[int, int]] = frozenset()) -> Iterator[Path]:

@@ -16,6 +16,7 @@ from spectra_kit.datasets.files import MapRecord, ShapeRecord
 from spectra_kit.datasets.inputs import Input, Pair
 from spectra_kit.datasets.run import BatchReport, Completed
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.features import shape_dna_distances
 
 _OF_RECORD = ("kind", "points", "faces", "area", "components", "zero_modes", "level", "shape",
               "spectrum")  # fmt: skip
@@ -25,7 +26,7 @@ _JUDGED = tuple(one.name for one in fields(MapRecord) if one.name not in ("doubt
 OF_PAIRS = ("source", "target", *_JUDGED, "doubts", "map")
 _RUN = re.compile(r"\s*[=+\-@\uff1d\uff0b\uff0d\uff20]")  # the last four are fullwidth
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-_NUMBERED = re.compile(r"(eigenvalue|dna)_\d+")
+_NUMBERED = re.compile(r"(eigenvalue|dna_by_area)_\d+")
 
 
 @checked
@@ -46,7 +47,8 @@ def write_table(path: str | os.PathLike[str], report: BatchReport[Any, Any]) -> 
     and ``components``; ``zero_modes``, ``level`` and ``residual`` tell how far the modes can be
     trusted; ``problems`` of the geometry and ``warnings`` of the solver; ``same_as``, an earlier
     name of the very same geometry; the keys ``shape`` and ``spectrum`` of the store;
-    ``eigenvalue_0`` and so on in 1/length^2, and ``dna_1`` and so on where the plan wants ShapeDNA.
+    ``eigenvalue_0`` and so on in 1/length^2, and ``dna_by_area_1`` and so on, these times the area,
+    where the plan wants ShapeDNA: a shape in another unit, or of another size, has the same.
 
     Columns of pairs: ``source``, ``target`` and those of the table of pairs; ``score`` and
     ``coverage``, ``margin`` and ``mirror_margin`` over rivals, and ``orientation`` of the map, as
@@ -78,7 +80,7 @@ def write_table(path: str | os.PathLike[str], report: BatchReport[Any, Any]) -> 
     columns = [
         *(OF_SHAPES[0], *further(things), *OF_SHAPES[1:]),
         *(f"eigenvalue_{i}" for i in range(max((len(r.eigenvalues) for r in records), default=0))),
-        *(f"dna_{i + 1}" for i in range(max((len(r.dna) for r in records), default=0))),
+        *(f"dna_by_area_{i + 1}" for i in range(max((len(r.dna) for r in records), default=0))),
     ]
     first = dict[str, str]()
     rows = (
@@ -86,6 +88,52 @@ def write_table(path: str | os.PathLike[str], report: BatchReport[Any, Any]) -> 
         for one, done in report.completed
     )
     write(path, columns, rows)
+
+
+@checked
+def write_distances(path: str | os.PathLike[str], report: BatchReport[Any, Any]) -> None:
+    """Write how far shapes are apart by their ShapeDNA as CSV, a row and a column for each.
+
+    Parameters
+    ----------
+    path : path
+        The file; it appears whole or not at all.
+    report : BatchReport
+        What was computed, by a plan that wants ShapeDNA ("dna" among its descriptors).
+
+    Notes
+    -----
+    `features.shape_dna_distances` of the eigenvalues times the area, as many as all shapes have:
+    of form, not of size, and dimensionless.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import spectra_kit as sk
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> for i in range(2):
+    ...     sk.geometry.write(sk.geometry.creature(600, seed=i), folder / f"{i}.off")
+    >>> store = sk.datasets.SpectrumStore(folder / "store")
+    >>> plan = sk.datasets.Plan(k=8, descriptors=("dna",))
+    >>> report = sk.datasets.compute_all(sk.datasets.find_inputs([folder]), store, plan)
+    >>> sk.datasets.write_distances(folder / "apart.csv", report)
+    >>> len((folder / "apart.csv").read_text().splitlines())
+    3
+    """
+    records = [done.record for _, done in report.completed if report.of == "shapes"]
+    if len(records) < 2 or not all(one.dna for one in records):
+        raise InvalidInputError(
+            "report",
+            "hold the ShapeDNA of two shapes at least",
+            f"that of {sum(bool(one.dna) for one in records)} of {len(report.completed)}",
+            advice='compute them by a Plan(descriptors=("dna",))',
+        )
+    count = min(len(one.dna) for one in records)
+    apart = shape_dna_distances([one.dna[:count] for one in records])
+    names = [one.name for one, _ in report.completed]
+    table = (dict(zip(names, row, strict=True)) for row in apart.tolist())
+    write(path, ["name", *names], ({"name": n} | row for n, row in zip(names, table, strict=True)))
 
 
 def check_columns(things: Sequence[Input | Pair], own: Sequence[str] = OF_SHAPES) -> None:
@@ -134,7 +182,7 @@ def _shape_row(one: Input, done: Completed[ShapeRecord], first: str) -> dict[str
         "same_as": "" if first == one.name else first,
     }
     values = {f"eigenvalue_{i}": value for i, value in enumerate(record.eigenvalues)}
-    signature = {f"dna_{i}": value for i, value in enumerate(record.dna, start=1)}
+    signature = {f"dna_by_area_{i}": value for i, value in enumerate(record.dna, start=1)}
     return {"name": one.name, **one.columns, **own, **values, **signature}
 
 

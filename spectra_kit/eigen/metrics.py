@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import check_count, check_mass
+from spectra_kit._core.validate import check_count, check_indices, check_mass
 from spectra_kit._sparse.host import Weights
 from spectra_kit._sparse.orthonormal import orthonormalize
 from spectra_kit._sparse.products import weighed
@@ -330,6 +330,60 @@ def align_modes(
         exact.eigenvectors[:, : comparison.k],
         predicted.eigenvectors[:, comparison.match],
     )
+
+
+@checked
+def align_to_template(
+    template: Spectrum, spectrum: Spectrum, point_map: ArrayLike, *, cluster_gap: float = 5e-2
+) -> Floats:
+    """Modes of one surface of a cohort, paired, signed and rotated to look like a template's.
+
+    What stands in column i of all surfaces then means the same: the modes of two subjects differ in
+    sign, and near-equal ones in their order and by any rotation.
+
+    Parameters
+    ----------
+    template : Spectrum
+        On n1 points, k modes.
+    spectrum : Spectrum
+        Of the surface, on n2 points, k modes or more.
+    point_map : array_like of int of shape (n2,)
+        The template's point of each point, as `Match.point_map` with the template for its source;
+        ``range(n2)`` where surfaces are registered to each other.
+    cluster_gap : float, default 5e-2
+        Modes of the template whose eigenvalues are nearer than that, relative to these, are turned
+        together.
+
+    Returns
+    -------
+    ndarray of shape (n2, k)
+        M-orthonormal inside each cluster; in 1/length of the surface.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import spectra_kit as sk
+    >>> from spectra_kit.eigen.metrics import align_to_template
+    >>> s = sk.Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+    >>> align_to_template(s, sk.Spectrum(s.eigenvalues, -s.eigenvectors, s.mass), [0, 1])
+    array([[1., 0.],
+           [0., 1.]])
+    """
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
+    places = check_indices("point_map", point_map, template.n)
+    if places.shape != (spectrum.n,):
+        raise InvalidInputError("point_map", f"have shape ({spectrum.n},)", places.shape)
+    if (k := template.k) > spectrum.k:
+        expected = f"have no more modes than the {spectrum.k} of `spectrum`"
+        raise InvalidInputError("template", expected, k, advice="truncate it first")
+    pulled = template.eigenvectors[places] * np.sqrt(template.area / spectrum.area)
+    cosines = pulled.T @ spectrum._weighed(spectrum.eigenvectors)
+    moved = np.abs(np.arange(k)[:, None] - np.arange(spectrum.k)[None, :])
+    _, match = linear_sum_assignment(_MOVE_COST * moved - cosines**2)
+    starts = _cluster_starts(template, cluster_gap)
+    clusters = tuple(zip(starts.tolist(), [*starts[1:].tolist(), k], strict=True))
+    return _rotate_within(clusters, spectrum._weights, pulled, spectrum.eigenvectors[:, match])
 
 
 def _pair(

@@ -185,8 +185,8 @@ def delaunay_laplacian(
     *,
     mollify_factor: float = 1e-5,
     n_neighbors: int = 30,
-    mass: Literal["lumped", "consistent"] = "lumped",
     device: str = "cpu",
+    mass: Literal["lumped", "consistent"] = "lumped",
 ) -> Laplacian:
     """Build the intrinsic Delaunay Laplacian of a mesh or a point cloud.
 

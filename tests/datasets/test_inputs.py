@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 from conftest import bumpy, refused
 
+import spectra_kit as sk
 from spectra_kit.datasets import Input, Plan, SpectrumStore, compute_all, find_inputs, shard
 from spectra_kit.errors import IgnoredContentWarning, InvalidFileError
 from spectra_kit.geometry import write
@@ -32,6 +33,23 @@ def test_files_folders_and_patterns(folder):
     assert names("scans/*") == every[:2]
     assert names("scans/**/*.o[bf]*") == every[1:]
     assert names("none.off") == ["none.off"]  # to be told of with its reason
+
+
+def test_fields_of_a_pattern_are_columns(tmp_path):
+    for subject in ("01", "02"):
+        for side in ("lh", "rh"):
+            path = tmp_path / f"sub-{subject}" / "surf" / f"{side}.{subject}.off"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            sk.geometry.write(sk.geometry.sphere(subdivisions=0).geometry, path)
+    pattern = f"{tmp_path}/sub-{{subject}}/su?f/{{side}}.{{subject}}.off"
+    assert [dict(one.columns) for one in find_inputs([pattern])] == [
+        {"subject": subject, "side": side} for subject in ("01", "02") for side in ("lh", "rh")
+    ]
+    (tmp_path / "sub-02" / "surf" / "lh.02.off").rename(tmp_path / "sub-02" / "surf" / "lh.03.off")
+    assert len(find_inputs([pattern])) == 3  # a field is the same wherever it stands
+    odd = tmp_path / "{a}.off"
+    sk.geometry.write(sk.geometry.sphere(subdivisions=0).geometry, odd)
+    assert [one.path for one in find_inputs([odd])] == [odd]  # that is there is no pattern
 
 
 def test_a_store_inside_a_folder_is_not_read(folder):

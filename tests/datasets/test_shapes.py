@@ -28,6 +28,7 @@ from spectra_kit.datasets import (
     complete,
     compute_all,
     find_inputs,
+    write_distances,
     write_table,
 )
 from spectra_kit.datasets.shapes import begin, known
@@ -241,14 +242,14 @@ def test_a_table_has_a_row_for_each_shape(scans, store, tmp_path):
     for row, (_, done) in zip(rows, report.completed, strict=True):
         values = [float(row[f"eigenvalue_{i}"]) for i in range(6)]
         np.testing.assert_array_equal(values, done.record.eigenvalues)
-        signature = [float(row[f"dna_{i + 1}"]) for i in range(len(done.record.dna))]
+        signature = [float(row[f"dna_by_area_{i + 1}"]) for i in range(len(done.record.dna))]
         np.testing.assert_array_equal(signature, done.record.dna)
         assert float(row["area"]) == done.record.area
         assert store.load(row["spectrum"]).k == 6
         assert (row["components"], row["zero_modes"], row["level"]) == ("1", "1", "verified")
 
 
-@pytest.mark.parametrize("column", ["area", "eigenvalue_0", "dna_12"])
+@pytest.mark.parametrize("column", ["area", "eigenvalue_0", "dna_by_area_12"])
 def test_columns_of_a_tables_own_are_refused_before_the_work(column, scans):
     check_columns([Input(name="a", path=scans, columns={"age": "3", "eigenvalue": "4"})])
     one = Input(name="a", path=scans, columns={column: "3"})
@@ -297,9 +298,27 @@ def test_rows_without_all_columns_have_blanks(store, tmp_path):
     write_table(tmp_path / "table.csv", report)
     one, two = csv.DictReader((tmp_path / "table.csv").read_text().splitlines())
     assert (one["age"], one["sex"], two["age"], two["sex"]) == ("7", "", "", "7")
-    assert one["dna_5"]
-    assert two["dna_4"]
-    assert two["dna_5"] == ""
+    assert one["dna_by_area_5"]
+    assert two["dna_by_area_4"]
+    assert two["dna_by_area_5"] == ""
+
+
+def test_distances_are_those_of_the_signatures_and_know_no_unit(store, tmp_path):
+    animal = sk.geometry.creature(600)
+    for name, scale in (("a", 1.0), ("b", 25.4)):
+        write(sk.TriangleMesh(scale * animal.points, animal.faces), tmp_path / f"{name}.ply")
+    write(bumpy(), tmp_path / "c.ply")
+    report = compute_all(find_inputs([tmp_path]), store, Plan(k=12, descriptors=("dna",)))
+    write_distances(tmp_path / "apart.csv", report)
+    rows = [*csv.DictReader((tmp_path / "apart.csv").read_text().splitlines())]
+    names = [one.name for one, _ in report.completed]
+    apart = np.array([[float(row[name]) for name in names] for row in rows])
+    spectra = [store.load(done.record.spectrum) for _, done in report.completed]
+    dnas = [sk.features.shape_dna(spectrum) for spectrum in spectra]
+    assert apart == pytest.approx(sk.features.shape_dna_distances(dnas), abs=1e-9)
+    assert apart[0, 1] < 1e-3 * apart[0, 2]
+    none = compute_all(find_inputs([tmp_path]), store, Plan(k=12))
+    refused("report", "hold the ShapeDNA", write_distances, tmp_path / "none.csv", none)
 
 
 def test_a_table_of_nothing(store, tmp_path):

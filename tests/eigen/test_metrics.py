@@ -1,11 +1,18 @@
 import numpy as np
 import pytest
-from conftest import joined, two_parts
+from conftest import joined, refused, two_parts
 from scipy.linalg import block_diag, expm
 
+import spectra_kit as sk
 from spectra_kit import RayleighRitz, eigensolve, robust_laplacian
 from spectra_kit.eigen import Provenance, Spectrum
-from spectra_kit.eigen.metrics import align_modes, compare_spectra, span_error, subspace_span_error
+from spectra_kit.eigen.metrics import (
+    align_modes,
+    align_to_template,
+    compare_spectra,
+    span_error,
+    subspace_span_error,
+)
 from spectra_kit.eigen.subspaces import AmbientFourier, GivenBasis
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import TriangleMesh, sphere
@@ -231,3 +238,19 @@ def test_what_is_refused(exact):
     ):
         with pytest.raises(InvalidInputError, match=message):
             call()
+
+
+def test_modes_of_a_cohort_are_those_of_the_template():
+    ball = sk.geometry.sphere(subdivisions=3).geometry
+    template = sk.eigensolve(sk.robust_laplacian(ball), 16)  # whole clusters
+    rng = np.random.default_rng(0)
+    q = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    order = rng.permutation(ball.n)
+    place = np.argsort(order)
+    subject = sk.TriangleMesh(7 * (ball.points @ q)[order], place[ball.faces])
+    for solver in (sk.Lanczos(seed=5), sk.Arpack(seed=2)):
+        spectrum = sk.eigensolve(sk.robust_laplacian(subject), 20, solver)
+        found = align_to_template(template, spectrum, order)
+        assert found == pytest.approx(template.eigenvectors[order] / 7, abs=1e-6)
+    refused("template", "have no more modes", align_to_template, spectrum, template, place)
+    refused("point_map", "have shape", align_to_template, template, spectrum, order[:5])
