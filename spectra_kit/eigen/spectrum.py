@@ -78,7 +78,7 @@ class Spectrum(Rebuilt):
     consistent_mass: sparse.csr_array | None = None
 
     def __post_init__(self) -> None:
-        consistent, n = self.consistent_mass, np.shape(self.mass)[:1]
+        consistent, n = self.consistent_mass, np.shape(self.eigenvectors)[:1] or (0,)
         if sparse.issparse(self.mass):
             lumped, consistent = split_mass("mass", self.mass, *n)
             object.__setattr__(self, "mass", lumped)

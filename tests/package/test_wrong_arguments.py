@@ -163,7 +163,8 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     geometry.write(mesh, folder / "mesh.obj")
     plan = datasets.Plan(k=8, descriptors=("dna",), operators=("stiffness",))
     spectra = datasets.SpectrumStore(folder / "store")
-    inputs = [datasets.Input(name="mesh.obj", path=folder / "mesh.obj")]
+    names = ("mesh.obj", "again.obj")
+    inputs = [datasets.Input(name=name, path=folder / "mesh.obj") for name in names]
     report = datasets.compute_all(inputs, spectra, plan)
     done = report.completed[0][1]
     dataset = learn.StoreDataset(spectra)
