@@ -15,8 +15,8 @@ from spectra_kit.eigen.certificate import Certificate, ModeCount, Provenance
 from spectra_kit.errors import InvalidFileError
 
 # 2: certificates may hold a count; 3: what it misses, `accuracy`, `excess`; 4: `name`; 5: `errors`
-# and `reason`; 6: `bounded`
-FORMAT_VERSION = 6
+# and `reason`; 6: `bounded`; 7: `dimension`, which is 2 in those before
+FORMAT_VERSION = 7
 REMEDY = "write it again with Spectrum.save"
 _ARRAYS = ("eigenvalues", "eigenvectors", "mass")
 _RESIDUALS = ("residuals", "relative_residuals")
@@ -82,7 +82,13 @@ def read_spectrum_file(path: Path, *, mmap: bool) -> dict[str, Any]:
         count = record.pop("count", None)
         record |= {name: arrays.pop(name) for name in _RESIDUALS}
         certificate = Certificate(**record, count=ModeCount(**count) if count else None)
-    return {**arrays, "certificate": certificate, "provenance": Provenance(**header["provenance"])}
+    provenance, dimension = Provenance(**header["provenance"]), header.get("dimension", 2)
+    return {
+        **arrays,
+        "certificate": certificate,
+        "provenance": provenance,
+        "dimension": dimension,
+    }
 
 
 def _named(provenance: Mapping[str, Any]) -> dict[str, Any]:
