@@ -215,7 +215,7 @@ class Provenance(Rebuilt):
     seconds : mapping of str to float
         Wall time of each stage: ``assembly``, the solver's own stages, ``certify``.
     input_hash : str
-        BLAKE2b of stiffness, mass, points and fixed points: equal input, equal hash.
+        BLAKE2b of stiffness, mass, points, fixed points and dimension: equal input, equal hash.
     version : str
         Version of spectra_kit.
     iterations : int or None

@@ -62,20 +62,22 @@ class Units(NamedTuple):
     @classmethod
     def of(cls, laplacian: Laplacian) -> Units:
         """Return those of an operator; zeros where it is of ordinary size, within 1e9 of one."""
-        length = round(0.5 * float(np.log2(laplacian.mass.max()) + np.log2(laplacian.n)))
+        d = laplacian.dimension
+        length = round(float(np.log2(laplacian.mass.max()) + np.log2(laplacian.n)) / d)
         typical = float(np.median(laplacian.stiffness.diagonal()))  # needles may be far above it
-        energy = round(np.log2(typical)) if typical > 0 else 0
+        # Beyond what L grows with the length: not at all on a surface, as it does in a volume.
+        energy = round(np.log2(typical)) - (d - 2) * length if typical > 0 else 0
         return cls(*(0 if abs(power) <= _ORDINARY else power for power in (length, energy)))
 
     def taken_from(self, laplacian: Laplacian) -> Laplacian:
         """Return the operator measured in these units."""
-        L, M = laplacian.stiffness, laplacian.consistent_mass
-        data = np.ldexp(L.data, -self.energy)
+        L, M, d = laplacian.stiffness, laplacian.consistent_mass, laplacian.dimension
+        data = np.ldexp(L.data, -self.energy - (d - 2) * self.length)
         return replace(
             laplacian,
             stiffness=sparse.csr_array((data, L.indices, L.indptr), shape=L.shape),
-            mass=np.ldexp(laplacian.mass, -2 * self.length),
-            consistent_mass=None if M is None else M * 2.0 ** (-2 * self.length),
+            mass=np.ldexp(laplacian.mass, -d * self.length),
+            consistent_mass=None if M is None else M * 2.0 ** (-d * self.length),
             points=np.ldexp(laplacian.points, -self.length),
         )
 
@@ -394,7 +396,12 @@ class _Run:
         """Check `pairs`, and return what is known of them."""
         begin, laplacian = time.perf_counter(), self.laplacian
         pairs = _sorted(pairs)
-        spectrum = Spectrum(pairs.eigenvalues, pairs.eigenvectors, laplacian._weights)
+        spectrum = Spectrum(
+            pairs.eigenvalues,
+            pairs.eigenvectors,
+            laplacian._weights,
+            dimension=laplacian.dimension,
+        )
         certificate = certificate_of(spectrum, laplacian)
         if (error := certificate.orthonormality_error) > _ORTHONORMAL:
             raise InvalidSpectrumError(
@@ -588,4 +595,6 @@ def _fingerprint(laplacian: Laplacian) -> str:
         digest.update(np.ascontiguousarray(integers, dtype=np.int64).data)
     for floats in numbers:
         digest.update(np.ascontiguousarray(floats).data)
+    if laplacian.dimension != 2:
+        digest.update(bytes([laplacian.dimension]))
     return digest.hexdigest()

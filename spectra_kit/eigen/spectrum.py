@@ -24,7 +24,7 @@ from spectra_kit._sparse.products import residual_norms, weighed
 from spectra_kit.eigen.certificate import Certificate, ModeCount, Provenance
 from spectra_kit.eigen.spectrum_file import REMEDY, read_spectrum_file, write_spectrum_file
 from spectra_kit.errors import InvalidInputError, InvalidSpectrumError
-from spectra_kit.operators.laplacian import Laplacian, split_mass
+from spectra_kit.operators.laplacian import Laplacian, check_dimension, split_mass
 
 if TYPE_CHECKING:
     import torch
@@ -50,16 +50,18 @@ class Spectrum(Rebuilt):
     eigenvalues : array_like of shape (k,)
         Ascending, >= 0, in 1/length^2.
     eigenvectors : array_like of shape (n, k)
-        Columns, M-orthonormal: ``U.T @ (mass[:, None] * U) == I``; in 1/length. `eigensolve` checks
-        that; here it is taken for granted.
+        Columns, M-orthonormal: ``U.T @ (mass[:, None] * U) == I``; in 1/length, of volumes in
+        1/length^(3/2). `eigensolve` checks that; here it is taken for granted.
     mass : array_like of shape (n,), or sparse array of shape (n, n)
-        M, positive, in length^2: lumped, or a matrix, as of `Laplacian`.
+        M, positive, in length^2, of volumes in length^3: lumped, or a matrix, as of `Laplacian`.
     certificate : Certificate, optional
         Residuals and counts; `eigensolve` always fills it.
     provenance : Provenance, optional
         Solver, operator, seed, times, input hash.
     consistent_mass : sparse array of shape (n, n), optional
         M where it is not diagonal; `mass`, lumped, then weighs points.
+    dimension : int, default 2
+        Of what the points are on: 3 in a volume, as `Laplacian.dimension` says.
 
     Examples
     --------
@@ -76,8 +78,10 @@ class Spectrum(Rebuilt):
     certificate: Certificate | None = None
     provenance: Provenance = _BY_THE_USER
     consistent_mass: sparse.csr_array | None = None
+    dimension: int = 2
 
     def __post_init__(self) -> None:
+        check_dimension(self.dimension)
         consistent, n = self.consistent_mass, np.shape(self.eigenvectors)[:1] or (0,)
         if sparse.issparse(self.mass):
             lumped, consistent = split_mass("mass", self.mass, *n)
@@ -127,15 +131,18 @@ class Spectrum(Rebuilt):
 
     @property
     def area(self) -> float:
-        """Total mass, in length^2."""
+        """Total mass, in length^2; of a volume that volume, in length^3."""
         return float(self.mass.sum())
 
     @property
     def n_zero_modes(self) -> int:
-        """Number of modes in the kernel: certified where possible, else lambda * area < 1e-7."""
+        """Number of modes in the kernel: certified where possible, else lambda * area < 1e-7.
+
+        In a volume, lambda * volume^(2/3).
+        """
         if self.certificate is not None:
             return self.certificate.n_zero_modes
-        return int((self.eigenvalues * self.area <= _ZERO_MODE).sum())
+        return int((self.eigenvalues * self.area ** (2 / self.dimension) <= _ZERO_MODE).sum())
 
     def truncate(self, k: int) -> Spectrum:
         """Return the first k modes, certificate included."""
@@ -149,16 +156,24 @@ class Spectrum(Rebuilt):
         """Return the spectrum of the same surface with lengths multiplied by `factor`.
 
         A factor of 1000 leads from metres to millimetres: eigenvalues are divided by its square,
-        masses multiplied by that, and eigenvectors divided by the factor. The provenance has no
+        masses multiplied by that, and eigenvectors divided by the factor; of a volume, masses
+        multiplied by its cube, and eigenvectors divided by the root of that. The provenance has no
         input hash, for no solver has seen the scaled surface.
         """
-        if not 1 / _LARGEST_FACTOR <= check_positive("factor", factor) <= _LARGEST_FACTOR:
+        largest, powers = (_LARGEST_FACTOR, "squares")
+        if self.dimension == 3:
+            largest, powers = largest ** (2 / 3), "cubes"
+        if not 1 / largest <= check_positive("factor", factor) <= largest:
             raise InvalidInputError(
                 "factor",
-                f"be in [{1 / _LARGEST_FACTOR:g}, {_LARGEST_FACTOR:g}], whose squares are numbers",
+                f"be in [{1 / largest:g}, {largest:g}], whose {powers} are numbers",
                 f"{factor:g}",
             )
         return self._rescaled(factor)
+
+    def _of_size_one(self) -> Spectrum:
+        """Return it in the unit of length in which area, or volume, is one."""
+        return self.rescale(self.area ** (-1 / self.dimension))
 
     def _rescaled(self, length: float, energy: float = 1.0) -> Spectrum:
         """Return it with lengths, and energies, multiplied by these."""
@@ -171,9 +186,9 @@ class Spectrum(Rebuilt):
         return replace(
             self,
             eigenvalues=self.eigenvalues / square * energy,
-            eigenvectors=self.eigenvectors / length,
-            mass=self.mass * square,
-            consistent_mass=None if M is None else M * square,
+            eigenvectors=self.eigenvectors / length ** (self.dimension / 2),
+            mass=self.mass * length**self.dimension,
+            consistent_mass=None if M is None else M * length**self.dimension,
             certificate=certificate,
             provenance=replace(self.provenance, input_hash=""),
         )
@@ -181,7 +196,8 @@ class Spectrum(Rebuilt):
     def project(self, values: Annotated[ArrayLike, NDArray[np.bool_]]) -> Floats:
         """Return the coefficients ``U^T M f`` of functions, in their unit times length.
 
-        `values` has shape (n,) or, of c functions, (n, c); the coefficients have (k,) or (k, c).
+        In a volume, times length^(3/2). `values` has shape (n,) or, of c functions, (n, c); the
+        coefficients have (k,) or (k, c).
         """
         f = _as_columns("values", values, self.n)
         with blas_threads_for(self.eigenvectors.size):
@@ -347,7 +363,8 @@ class Spectrum(Rebuilt):
         OSError
             If it cannot be written.
         """
-        write_spectrum_file(Path(path), self._arrays, self.certificate, self.provenance)
+        known = self.certificate, self.provenance
+        write_spectrum_file(Path(path), self._arrays, *known, dimension=self.dimension)
 
     @property
     def _arrays(self) -> dict[str, NDArray[Any]]:
@@ -401,16 +418,18 @@ class Spectrum(Rebuilt):
 
     def __repr__(self) -> str:
         certified = "uncertified" if self.certificate is None else self.certificate.summary
+        kind = "" if self.dimension == 2 else "of a volume, "
         return (
-            f"Spectrum(n={self.n}, k={self.k}, eigenvalues {self.eigenvalues[:1].sum():.4g} to"
-            f" {self.eigenvalues[-1:].sum():.4g}, {certified}, solver={self.provenance.solver})"
+            f"Spectrum({kind}n={self.n}, k={self.k}, eigenvalues"
+            f" {self.eigenvalues[:1].sum():.4g} to {self.eigenvalues[-1:].sum():.4g}, {certified},"
+            f" solver={self.provenance.solver})"
         )
 
     def _facts(self) -> Mapping[str, object]:
         values = [f"{value:.6g}" for value in self.eigenvalues]
         shown = values if self.k <= _SHOWN else [*values[: _SHOWN - 2], "…", values[-1]]
         return {
-            "points": f"{self.n:,}",
+            "points": f"{self.n:,}" + (" in a volume" if self.dimension == 3 else ""),
             "modes": f"{self.k:,}, {self.n_zero_modes} of them zero",
             "eigenvalues": ", ".join(shown),
             "certificate": self.certificate.summary if self.certificate else "none",

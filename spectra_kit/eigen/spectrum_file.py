@@ -16,7 +16,7 @@ from spectra_kit.eigen.certificate import Certificate, ModeCount, Provenance
 from spectra_kit.errors import InvalidFileError
 
 # 2: certificates may hold a count; 3: what it misses, `accuracy`, `excess`; 4: `name`; 5: `errors`
-# and `reason`; 6: `bounded`; 7: a mass that is a matrix
+# and `reason`; 6: `bounded`; 7: a mass that is a matrix, `dimension`, which is 2 in those before
 FORMAT_VERSION = 7
 REMEDY = "write it again with Spectrum.save"
 _ARRAYS = ("eigenvalues", "eigenvectors", "mass")
@@ -90,7 +90,13 @@ def read_spectrum_file(path: Path, *, mmap: bool) -> dict[str, Any]:
         n = len(arrays["mass"])
         parts = tuple(arrays.pop(name) for name in _MATRIX)
         arrays["consistent_mass"] = sparse.csr_array(parts, shape=(n, n))
-    return {**arrays, "certificate": certificate, "provenance": Provenance(**header["provenance"])}
+    provenance, dimension = Provenance(**header["provenance"]), header.get("dimension", 2)
+    return {
+        **arrays,
+        "certificate": certificate,
+        "provenance": provenance,
+        "dimension": dimension,
+    }
 
 
 def _named(provenance: Mapping[str, Any]) -> dict[str, Any]:

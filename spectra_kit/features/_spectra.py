@@ -54,9 +54,12 @@ def outside_kernel(spectrum: Spectrum) -> Spectrum:
     return modes
 
 
-def weyl(k: float) -> float:
-    """Return what Weyl's law expects of eigenvalue number k of a surface of area one."""
-    return 4 * np.pi * k
+def weyl(k: float, dimension: int = 2) -> float:
+    """Return what Weyl's law expects of eigenvalue number k of a surface of area one.
+
+    Or of a volume of one, by its dimension 3.
+    """
+    return 4 * np.pi * k if dimension == 2 else float((6 * np.pi**2 * k) ** (2 / 3))
 
 
 def squares(spectrum: Spectrum, weights: Floats) -> Floats:

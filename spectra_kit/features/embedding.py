@@ -54,13 +54,13 @@ class Surface:
 
     @cached_property
     def spectrum(self) -> Spectrum:
-        """Its k lowest modes, in the unit of length in which the area is one."""
+        """Its k lowest modes, in the unit of length in which area, or volume, is one."""
         found = self.given
         if not isinstance(found, Spectrum):
             found = eigensolve(self.laplacian, self.k, self.solver)
         if found.k < self.k:
             raise InvalidInputError("surface", f"have k = {self.k} modes or more", found.k)
-        return found.truncate(self.k).rescale(found.area**-0.5)
+        return found.truncate(self.k)._of_size_one()
 
     @property
     def mass(self) -> Floats:

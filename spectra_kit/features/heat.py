@@ -194,7 +194,8 @@ class HeatKernelSignature(Isometric, Pooled):
     def of_points(self, surface: Surface) -> Floats:
         """Return (n, count), zero where all heat has spread evenly."""
         spectrum = surface.spectrum
-        times = np.geomspace(DAMPED / weyl(surface.k), _LONGEST, self.count)
+        shortest = DAMPED / weyl(surface.k, spectrum.dimension)
+        times = np.geomspace(shortest, _LONGEST, self.count)
         return np.log(squares(spectrum, _weights(spectrum, times)))
 
 

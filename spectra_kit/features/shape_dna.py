@@ -41,9 +41,10 @@ def shape_dna(
     normalize : {"area", "weyl", "first"} or None, default "area"
         What takes the place of the unit of length:
 
-        - "area": the area, ``lambda_i area``;
+        - "area": the area, ``lambda_i area``; of a volume ``lambda_i volume^(2/3)``;
         - "weyl": the area that the eigenvalues themselves suggest by Weyl's law ``lambda_i = 4 pi
-          i / area``, a least-squares line through the origin. For a mass that is no area;
+          i / area``, a least-squares line through the origin. For a mass that is no area; in a
+          volume by ``lambda_i = (6 pi^2 i / volume)^(2/3)``;
         - "first": the first of them, ``lambda_i / lambda_1``;
         - None: nothing; eigenvalues in 1/length^2, for surfaces of different size.
 
@@ -51,7 +52,7 @@ def shape_dna(
     -------
     ndarray of shape (count,)
         Ascending, dimensionless unless `normalize` is None; about ``4 pi i`` for "area" and
-        "weyl".
+        "weyl", of volumes ``(6 pi^2 i)^(2/3)``.
 
     Examples
     --------
@@ -71,10 +72,10 @@ def _dna(spectrum: Spectrum, count: int | None, normalize: Normalization | None 
     if count is not None:
         values = values[: check_count("count", count, low=1, high=len(values))]
     if normalize == "area":
-        return values * spectrum.area
+        return np.asarray(values * spectrum.area ** (2 / spectrum.dimension))
     if normalize == "weyl":
-        index = np.arange(1, len(values) + 1)
-        return np.asarray(values * (4 * np.pi * (index @ index) / (index @ values)))
+        line = _weyl(len(values), spectrum)
+        return np.asarray(values * (line @ line / (line @ values)))
     return values / values[0] if normalize == "first" else values.copy()
 
 
@@ -163,4 +164,9 @@ class ShapeDNA(Isometric):
     def of_all(self, surface: Surface) -> Floats:
         """Return (count,): ``log(lambda_i area / (4 pi i))``."""
         dna = _dna(surface.spectrum, self.count)
-        return np.log(dna / weyl(1) / np.arange(1, self.count + 1))
+        return np.log(dna / _weyl(self.count, surface.spectrum))
+
+
+def _weyl(count: int, spectrum: Spectrum) -> Floats:
+    """Return what Weyl's law expects of the first eigenvalues where area, or volume, is one."""
+    return np.array([weyl(i, spectrum.dimension) for i in range(1, count + 1)])

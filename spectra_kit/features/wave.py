@@ -174,9 +174,11 @@ class WaveKernelSignature(Isometric, Pooled):
         """Return (n, count), zero where a band has its mean over the area."""
         if surface.k <= self.first:
             raise InvalidInputError("k", f"be more than first = {self.first:g}", surface.k)
-        energies = np.linspace(np.log(weyl(self.first)), np.log(weyl(surface.k)), self.count)
+        spectrum = surface.spectrum
+        low, high = (np.log(weyl(i, spectrum.dimension)) for i in (self.first, surface.k))
+        energies = np.linspace(low, high, self.count)
         width = self.width * (energies[1] - energies[0])
-        return _logarithms(squares(*_bands(surface.spectrum, energies, width=width)), area=1.0)
+        return _logarithms(squares(*_bands(spectrum, energies, width=width)), area=1.0)
 
 
 def _energies(spectrum: Spectrum, count: int, width: float | None) -> tuple[Floats, float]:

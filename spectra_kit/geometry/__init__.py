@@ -19,8 +19,10 @@ from spectra_kit.geometry.reference import Reference, disk, rectangle, sphere, t
 from spectra_kit.geometry.repair import Repaired, RepairReport, repair, without_nan
 from spectra_kit.geometry.sampling import GaussianDensity, Samples, sample, sample_with_origin
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry.tetrahedra import BoundarySurface, TetrahedralMesh
 
 __all__ = [
+    "BoundarySurface",
     "Component",
     "Diagnosis",
     "GaussianDensity",
@@ -32,6 +34,7 @@ __all__ = [
     "RepairReport",
     "Repaired",
     "Samples",
+    "TetrahedralMesh",
     "TriangleMesh",
     "as_geometry",
     "components",

@@ -345,6 +345,6 @@ def check_components(source: Spectrum, target: Spectrum) -> None:
 
 
 def at_unit_area(spectrum: Spectrum) -> Spectrum:
-    """Return the spectrum of the surface scaled to area 1."""
+    """Return the spectrum of the surface scaled to area 1, of a volume to volume 1."""
     area = spectrum.area
-    return spectrum if abs(area - 1.0) < 1e-12 else spectrum.rescale(area**-0.5)
+    return spectrum if abs(area - 1.0) < 1e-12 else spectrum._of_size_one()

@@ -190,7 +190,7 @@ def prepared(
             advice="match the largest part alone, by {}, or one by one (geometry.components)",
             remedies=("geometry.largest_component(mesh)",),
         )
-    scale = spectrum.area**-0.5
+    scale = spectrum.area ** (-1 / spectrum.dimension)
     unit = spectrum.rescale(scale)
     with blas_threads_for(unit.eigenvectors.size):
         surface = None if geometry is None else _in_unit_frame(unit, geometry, scale)

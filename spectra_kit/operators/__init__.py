@@ -32,6 +32,7 @@ from spectra_kit.operators.tangent import (
     gradient,
     tangent_gradient,
 )
+from spectra_kit.operators.tetrahedra import tetrahedral_laplacian
 
 __all__ = [
     "Curvature",
@@ -63,4 +64,5 @@ __all__ = [
     "tangent_frames",
     "tangent_gradient",
     "tensor_laplacian",
+    "tetrahedral_laplacian",
 ]

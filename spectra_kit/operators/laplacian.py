@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt, cached, frozen
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import check_indices, check_mass, check_points
+from spectra_kit._core.validate import check_count, check_indices, check_mass, check_points
 from spectra_kit._sparse._checks import asymmetry
 from spectra_kit.errors import InvalidInputError
 
@@ -26,6 +26,8 @@ _EPS = float(np.finfo(np.float64).eps)
 _ROUNDING = 32 * _EPS  # of the sums of rows, relative to magnitudes
 _VANISHES = 1e-2  # of its diagonal entry: the sum of a row of a mass; of linear elements it is 2
 _POWERS = 8  # of the inverse of a mass, whose spectrum is narrow
+# By dimension: what makes medians of L spacings, and Weyl's first eigenvalue where the mass is one.
+_WEYL = {2: (4.0, 4 * np.pi), 3: (2.5, (6 * np.pi**2) ** (2 / 3))}
 
 
 @checked
@@ -42,9 +44,9 @@ class Laplacian(Rebuilt):
     stiffness : sparse array of shape (n, n)
         L, symmetric, positive semi-definite (libigl's cotangent matrix has the other sign).
     mass : array_like of shape (n,), or sparse array of shape (n, n)
-        M, in length^2: its diagonal, positive, or a positive definite matrix. What is kept here of
-        the latter is lumped: the sums of its rows, which are exact for linear elements, or, where
-        one vanishes, its diagonal scaled to the same total.
+        M, in length^2, of a volume in length^3: its diagonal, positive, or a positive definite
+        matrix. What is kept here of the latter is lumped: the sums of its rows, which are exact for
+        linear elements, or, where one vanishes, its diagonal scaled to the same total.
     points : array_like of shape (n, 3)
         Where the unknowns live; learned and Fourier subspaces are functions of it.
     operator : str, default "user"
@@ -55,6 +57,9 @@ class Laplacian(Rebuilt):
         Points held at zero (homogeneous Dirichlet). None of them means Neumann.
     consistent_mass : sparse array of shape (n, n), optional
         M where it is not diagonal: the eigenproblem is of it, and `mass`, lumped, weighs points.
+    dimension : int, default 2
+        Of what the points are on: 3 in a volume, as of `tetrahedral_laplacian`. By Weyl's law it
+        says how far apart eigenvalues are, and how masses change with the unit of length.
 
     Examples
     --------
@@ -75,8 +80,10 @@ class Laplacian(Rebuilt):
         default_factory=lambda: np.empty(0, dtype=np.int64)
     )
     consistent_mass: sparse.csr_array | None = None
+    dimension: int = 2
 
     def __post_init__(self) -> None:
+        check_dimension(self.dimension)
         points = check_points("points", self.points)
         n = len(points)
         stiffness = _check_stiffness(self.stiffness, n)
@@ -103,7 +110,7 @@ class Laplacian(Rebuilt):
 
     @property
     def area(self) -> float:
-        """Total mass, in length^2."""
+        """Total mass, in length^2; of a volume that volume, in length^3."""
         return float(self.mass.sum())
 
     @cached_property
@@ -120,16 +127,21 @@ class Laplacian(Rebuilt):
         eigenvalues and parts none from the next: where it is most of the diagonal, the sums of
         what is beside it stand in. Shifts and the test for zero modes are relative to it. Where L
         is mostly zero, Weyl's own value stands in.
+
+        In a volume, where an entry of L grows with the distance h of points and one of M with its
+        cube, ``5/2 median(L_ii / M_ii^(1/3)) / (tr M)^(2/3)``: free of h too, and in a grid of
+        cubes near Weyl's ``(6 pi^2 / volume)^(2/3)``.
         """
         alone = np.zeros(self.n, dtype=np.int64)
-        return float(_typical(*self._held, alone)[0] / self.area)
+        return float(self._typical(*self._held, alone)[0] / self.area ** (2 / self.dimension))
 
     @cached_property
     def component_spacings(self) -> Floats:
         """`eigenvalue_spacing` of each connected component alone, shape (n_components,)."""
         labels, (diagonal, beside) = self.component_labels[self.free], self._held
-        typical = _typical(diagonal[self.free], beside[self.free], labels)
-        return frozen(typical / np.bincount(labels, self.mass[self.free]))
+        typical = self._typical(diagonal[self.free], beside[self.free], labels)
+        sizes = np.bincount(labels, self.mass[self.free])
+        return frozen(typical / sizes ** (2 / self.dimension))
 
     @cached
     def _elimination(self) -> Elimination:
@@ -194,13 +206,29 @@ class Laplacian(Rebuilt):
         longest = int(np.diff(L.indptr).max())
         return float((longest + 4) * _EPS * magnitude.max() + asymmetry.max())
 
+    def _typical(self, diagonal: Floats, beside: Floats, labels: Ints) -> Floats:
+        """Return the spacing of each component, by label, if its mass were one.
+
+        From what holds its points, without the potential where that is most of it; beside fixed
+        points it is not.
+        """
+        factor, instead = _WEYL[self.dimension]
+        all_of_it, rest = (_medians(values, labels) for values in (diagonal, beside))
+        held = np.where((rest > 0) & (rest < all_of_it / 2), rest, all_of_it)
+        return np.where(held > 0, factor * held, instead)
+
     @property
     def _held(self) -> tuple[Floats, Floats]:
-        """What holds each point: all, and what does beside a potential; (n,) each."""
+        """What holds each point: all, and what does beside a potential; (n,) each.
+
+        In a volume over the distance of points, the cube root of M, with which it grows.
+        """
         diagonal = self.stiffness.diagonal()
         sums, rounding = _row_sums(self.stiffness)
         others = np.asarray(abs(self.stiffness).sum(axis=1)) - diagonal
-        return diagonal, np.where(np.abs(sums) > rounding, np.minimum(diagonal, others), diagonal)
+        beside = np.where(np.abs(sums) > rounding, np.minimum(diagonal, others), diagonal)
+        grown = self.mass ** (1 - 2 / self.dimension)
+        return diagonal / grown, beside / grown
 
     @cached_property
     def component_labels(self) -> Ints:
@@ -314,7 +342,13 @@ class Laplacian(Rebuilt):
             operator=self.operator,
             seconds=self.seconds,
             consistent_mass=None if M is None else _block(M, indices),
+            dimension=self.dimension,
         )
+
+
+def check_dimension(value: int) -> None:
+    """Refuse what is neither a surface nor a volume."""
+    check_count("dimension", value, low=2, high=3)
 
 
 def _block(matrix: sparse.csr_array, indices: Ints) -> sparse.csr_array:
@@ -424,16 +458,6 @@ def with_zero_sums(stiffness: sparse.sparray) -> sparse.csr_array:
     matrix = sparse.csr_array(stiffness)
     sums, rounding = _row_sums(matrix)
     return sparse.csr_array(matrix - sparse.diags_array(np.where(np.abs(sums) > rounding, sums, 0)))
-
-
-def _typical(diagonal: Floats, beside: Floats, labels: Ints) -> Floats:
-    """Return four times the median of what holds the points of each component, by label.
-
-    Without the potential where that is most of it; beside fixed points it is not.
-    """
-    all_of_it, rest = (_medians(values, labels) for values in (diagonal, beside))
-    held = np.where((rest > 0) & (rest < all_of_it / 2), rest, all_of_it)
-    return np.where(held > 0, 4 * held, 4 * np.pi)
 
 
 def _medians(values: Floats, labels: Ints) -> Floats:

@@ -1,0 +1,218 @@
+"""`TetrahedralMesh`: a volume cut into tetrahedra, and its surface with the way back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Rebuilt, frozen
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import as_array, check_indices, check_points, quantity
+from spectra_kit._core.warn import warn
+from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
+from spectra_kit.geometry.shapes import TriangleMesh, distinct_rows
+
+_BLOCK = 1 << 15
+_FLAT = 1e-14  # of the cube of the longest side: a determinant below has no digit that counts
+#: The face opposite each corner, wound outwards where the determinant of the cell is positive.
+_FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+
+
+@checked
+@dataclass(frozen=True, eq=False)
+class BoundarySurface(Rebuilt):
+    """The surface of a volume.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Closed, wound outwards.
+    vertex_index : ndarray of shape (n,)
+        The point of the volume that each of its vertices is, ascending: what `values` hold there is
+        ``values[vertex_index]``.
+    """
+
+    mesh: TriangleMesh
+    vertex_index: Ints
+
+
+@checked
+@dataclass(frozen=True, eq=False, repr=False)
+class TetrahedralMesh(Rebuilt):
+    """A volume cut into tetrahedra.
+
+    Where one is asked for, a ``lapy.TetMesh``, a ``meshio.Mesh``, an ``UnstructuredGrid`` of
+    PyVista, a ``MeshTet`` of scikit-fem and ``(points, cells)`` do as well. The constructor refuses
+    NaN and indices out of range, and keeps all else as it came.
+
+    Parameters
+    ----------
+    points : array_like of shape (n, 3)
+        Vertex coordinates, in any unit of length.
+    cells : array_like of shape (m, 4)
+        Vertex indices of each tetrahedron, counted from 0; of either orientation.
+
+    Examples
+    --------
+    >>> from spectra_kit.geometry import TetrahedralMesh
+    >>> corner = TetrahedralMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2, 3]])
+    >>> round(6 * corner.volume, 12), corner.surface.mesh
+    (1.0, TriangleMesh(4 vertices, 4 faces))
+    """
+
+    points: Floats
+    cells: Ints
+
+    def __post_init__(self) -> None:
+        points, cells = check_points("points", self.points).copy(), as_array("cells", self.cells)
+        if cells.ndim != 2 or cells.shape[1] != 4 or not len(cells):
+            advice = "did you pass its transpose?" if cells.ndim == 2 and len(cells) == 4 else ""
+            if cells.ndim == 2 and cells.shape[1] == 3:
+                advice = "of triangles, TriangleMesh is a surface"
+            expected = "have shape (m, 4), of at least one tetrahedron"
+            raise InvalidInputError("cells", expected, cells.shape, advice=advice)
+        object.__setattr__(self, "points", frozen(points))
+        cells = check_indices("cells", cells, len(points)).copy()
+        object.__setattr__(self, "cells", frozen(cells))
+
+    def __repr__(self) -> str:
+        return f"TetrahedralMesh({self.n} vertices, {len(self.cells)} cells)"
+
+    @property
+    def n(self) -> int:
+        """Number of vertices."""
+        return len(self.points)
+
+    @cached_property
+    def cell_volumes(self) -> Floats:
+        """Volume of each tetrahedron, shape (m,), in length^3."""
+        determinants, exponents = self._measured
+        with np.errstate(over="ignore"):  # infinite is what they are in this unit
+            return frozen(np.ldexp(np.abs(determinants) / 6, 3 * exponents))
+
+    @property
+    def volume(self) -> float:
+        """Total volume, in length^3."""
+        return float(self.cell_volumes.sum())
+
+    @cached_property
+    def surface(self) -> BoundarySurface:
+        """The faces of one cell alone, and where their vertices are in the volume."""
+        first, counts, faces = self._faces
+        outer = faces[np.sort(first[counts == 1])]
+        if not len(outer):
+            raise InvalidInputError(
+                "mesh",
+                "have faces of one cell alone",
+                f"{quantity(len(self.cells), 'cell')} whose faces are all shared",
+                advice="is each there twice? drop them with {}",
+                remedies=("mesh.without_duplicate_cells()",),
+            )
+        used = np.unique(outer)
+        return BoundarySurface(
+            TriangleMesh(self.points[used], np.searchsorted(used, outer)), frozen(used)
+        )
+
+    @property
+    def boundary_vertices(self) -> Ints:
+        """Vertices of the `surface`, ascending: where a Dirichlet operator is zero."""
+        return self.surface.vertex_index
+
+    def without_unreferenced(self) -> TetrahedralMesh:
+        """Return the mesh with only those vertices that a cell uses, in their original order."""
+        used = np.unique(self.cells)
+        return TetrahedralMesh(self.points[used], np.searchsorted(used, self.cells))
+
+    def without_degenerate_cells(self) -> TetrahedralMesh:
+        """Return the mesh without `degenerate_cells`. Vertices stay, some without a cell."""
+        return TetrahedralMesh(self.points, self.cells[~self.degenerate_cells()])
+
+    def degenerate_cells(self) -> NDArray[np.bool_]:
+        """Mark cells with a vertex twice, or without volume; shape (m,).
+
+        Six times a volume is none up to 1e-14 of the cube of about the longest side.
+        """
+        ascending = np.sort(self.cells, axis=1)
+        twice = (ascending[:, 1:] == ascending[:, :-1]).any(axis=1)
+        return np.asarray(twice | (np.abs(self._measured[0]) <= _FLAT))
+
+    def without_duplicate_cells(self) -> TetrahedralMesh:
+        """Return the mesh with each cell once, whatever the order of its vertices."""
+        first, _ = distinct_rows(np.sort(self.cells, axis=1))
+        return TetrahedralMesh(self.points, self.cells[first])
+
+    @cached_property
+    def _measured(self) -> tuple[Floats, NDArray[np.int32]]:
+        """Signed six-fold volume of each cell, and its unit of length as a power of two."""
+        blocks = [((a * cross(b, c)).sum(axis=0), e) for _, (a, b, c), e in scaled_sides(self)]
+        determinants, exponents = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+        return determinants, exponents
+
+    @cached_property
+    def _faces(self) -> tuple[Ints, Ints, Ints]:
+        """Where each distinct face comes first, in how many cells it is, and all (4m, 3)."""
+        turned = np.where(self._measured[0][:, None, None] < 0, _FACES[:, ::-1], _FACES)
+        faces = np.take_along_axis(self.cells[:, None, :], turned, axis=2).reshape(-1, 3)
+        a, b, c = np.sort(faces, axis=1).T
+        order = np.lexsort((c, a * self.n + b))
+        a, b, c = a[order], b[order], c[order]
+        new = (np.diff(a) != 0) | (np.diff(b) != 0) | (np.diff(c) != 0)
+        starts = np.flatnonzero(np.append(True, new))
+        return order[starts], np.diff(np.append(starts, len(order))), faces
+
+    @staticmethod
+    def _made_of(thing: Any) -> TetrahedralMesh:
+        """Make one of what others have. By their names: nothing is imported for it."""
+        kinds: dict[str, Any] = {}
+        if isinstance(thing, tuple | list) and len(thing) == 2:
+            return TetrahedralMesh(*thing)
+        if hasattr(thing, "v") and hasattr(thing, "t"):  # of LaPy
+            return TetrahedralMesh(thing.v, thing.t)
+        if hasattr(thing, "p") and hasattr(thing, "t"):  # of scikit-fem, by columns
+            return TetrahedralMesh(thing.p.T, thing.t.T)
+        if hasattr(thing, "cells_dict"):  # of meshio by words, of PyVista by VTK's numbers
+            kinds = {str(kind): cells for kind, cells in thing.cells_dict.items()}
+        cells = kinds.pop("tetra", kinds.pop("10", None))
+        if cells is None:
+            raise InvalidInputError(
+                "thing",
+                "be a TetrahedralMesh",
+                type(thing).__name__,
+                advice="(points, cells) make one, and what has linear tetrahedra of LaPy, meshio,"
+                " PyVista or scikit-fem",
+            )
+        if others := sum(map(len, kinds.values())):
+            warn(
+                f"passed over {quantity(others, 'cell')} beside the tetrahedra",
+                IgnoredContentWarning,
+            )
+        return TetrahedralMesh(thing.points, cells)
+
+
+def scaled_sides(mesh: TetrahedralMesh) -> Iterator[tuple[slice, Floats, NDArray[np.int32]]]:
+    """Yield sides from the first corner to the others, (3 sides, 3, b), of blocks of cells.
+
+    In a unit of each cell's own, two to the powers (b,) that come with them: nothing overflows.
+    """
+    columns = np.ascontiguousarray(mesh.points.T)
+    for start in range(0, len(mesh.cells), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        corners = columns[:, mesh.cells[block].T]  # (3, 4, b)
+        # Halves, of which no difference overflows.
+        sides = np.moveaxis(corners[:, 1:] / 2 - corners[:, :1] / 2, 0, 1)
+        exponents = np.frexp(np.abs(sides).max(axis=(0, 1)))[1]
+        half = -exponents // 2  # one power of two might overflow
+        sides = np.ldexp(np.ldexp(sides, half), -exponents - half)
+        yield block, sides, exponents + 1
+
+
+def cross(a: Floats, b: Floats) -> Floats:
+    """Return the vector products of columns, (3, b)."""
+    (ax, ay, az), (bx, by, bz) = a, b
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
