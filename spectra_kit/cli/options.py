@@ -18,7 +18,11 @@ from spectra_kit.catalogue import OPERATORS, SOLVERS, SUBSPACES
 from spectra_kit.errors import InvalidInputError
 
 DEMO = "demo"
-FORMATS = "obj, off, ply, stl, glb, gltf, xyz, npy, npz"
+FORMATS = (
+    "obj, off, ply, stl, glb, gltf, vtk, vtp, vtu, gii, pial, white, inflated, sphere, smoothwm,"
+    " midthickness, graymid, msh, mesh, inp, xyz, txt, csv,"
+    " asc, pts, pcd, npy, npz"
+)
 PICTURES = (".png", ".pdf", ".svg")
 NETWORK = ("weights", "poses", "dtype", "device")  # what the network alone may be told
 _DRAWN = ("dpi", "up", "turn")

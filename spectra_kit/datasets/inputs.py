@@ -6,7 +6,7 @@ import csv
 import glob
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
@@ -204,13 +204,13 @@ def refuse_twice(argument: str, names: Sequence[str]) -> None:
 
 def _inputs_of(source: str) -> Iterator[Input]:
     path = Path(source)
-    if path.suffix.lower() == ".csv":
-        yield from _listed(path)
-    elif path.is_dir():
-        yield from _some(source, _inside(path), "hold meshes or clouds")
+    if path.is_dir():
+        yield from _some(source, readable_files(found := [*_inside(path)]), found, "hold")
     elif any(sign in source for sign in _PATTERN) and not path.exists():
-        matches = map(Path, glob.glob(source, recursive=True))
-        yield from _some(source, matches, "match meshes or clouds")
+        found = [*map(Path, glob.glob(source, recursive=True))]
+        yield from _some(source, readable_files(found, named=True), found, "match")
+    elif path.suffix.lower() == ".csv":
+        yield from _listed(path)
     else:
         yield Input(name=path.as_posix(), path=path)  # to read it will tell what is wrong with it
 
@@ -231,14 +231,13 @@ def _inside(folder: Path, above: frozenset[tuple[int, int]] = frozenset()) -> It
             yield path
 
 
-def _some(source: str, found: Iterable[Path], expected: str) -> Iterator[Input]:
-    found = list(found)
-    paths = readable_files(found)
+def _some(source: str, paths: list[Path], found: list[Path], verb: str) -> Iterator[Input]:
     if not paths:
         known = ", ".join(sorted(READERS))
         other = min((path for path in found if path.suffix), default=None)
         advice = f"of {other.name!r}: {advice_for(other)}" if other else ""
-        raise InvalidInputError(repr(source), f"{expected} ({known})", "none", advice=advice)
+        expected = f"{verb} meshes or clouds ({known})"
+        raise InvalidInputError(repr(source), expected, "none", advice=advice)
     yield from (Input(name=path.as_posix(), path=path) for path in paths)
 
 
