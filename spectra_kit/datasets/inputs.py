@@ -20,6 +20,7 @@ from spectra_kit.datasets.files import MARK, ShapeRecord
 from spectra_kit.datasets.plan import Plan
 from spectra_kit.datasets.store import SpectrumStore
 from spectra_kit.errors import InvalidFileError, InvalidInputError
+from spectra_kit.geometry.formats._room import format_of
 from spectra_kit.geometry.formats.foreign import advice_for
 from spectra_kit.geometry.io import READERS, readable_files
 
@@ -83,7 +84,8 @@ def find_inputs(sources: Sequence[str | os.PathLike[str]]) -> list[Input]:
     ----------
     sources : sequence of path-like
         Files of any format that `geometry.read` knows; patterns with ``*``, ``?``, ``[]`` and
-        ``**``; folders, of which all such files are taken, those of folders inside, too; and
+        ``**``; folders, of which all such files are taken, those of folders inside, too, but for
+        txt, csv and asc, which may be anything: a pattern such as ``*.txt`` takes them; and
         manifests: CSV files whose column ``file`` names files, relative to the manifest. A column
         ``name`` names them otherwise, further ones are handed on to the table. Links to folders are
         followed; one to nothing is a file that cannot be read.
@@ -208,7 +210,9 @@ def _inputs_of(source: str) -> Iterator[Input]:
         yield from _some(source, readable_files(found := [*_inside(path)]), found, "hold")
     elif any(sign in source for sign in _PATTERN) and not path.exists():
         found = [*map(Path, glob.glob(source, recursive=True))]
-        yield from _some(source, readable_files(found, named=True), found, "match")
+        yield from _some(
+            source, readable_files(found, named=format_of(path) in READERS), found, "match"
+        )
     elif path.suffix.lower() == ".csv":
         yield from _listed(path)
     else:

@@ -93,8 +93,9 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     Parameters
     ----------
     path : path-like
-        A file of one of the formats below; the extension says which, in any case. Packed ones
-        (gz, bz2, xz) are unpacked: of ``a.ply.gz``, what it packs is read as ply.
+        A file of one of the formats below; the extension says which, in any case, or of
+        FreeSurfer the content. Packed ones (gz, bz2, xz) are unpacked: of ``a.ply.gz``, what it
+        packs is read as ply.
     kind : {"mesh", "cloud"}, optional
         What the caller needs: "mesh" refuses a file without faces, "cloud" drops the faces. By
         default a file with faces gives a mesh and a file without them a cloud.
@@ -112,6 +113,8 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
         formats that others read, it says who, and how to hand over what they return.
     OutOfMemoryError
         If the content does not fit into memory.
+    MissingDependencyError
+        If the format is one that nibabel or meshio reads, and that is not installed.
 
     Warns
     -----
@@ -134,8 +137,16 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     npz           arrays points (or V, vertices, verts) and, for a mesh, faces (or F); where
                   none is called so, vert, v, xyz and triangles, tris, tri, TRIV, f
     npy           points of shape (n, 3)
-    xyz           the first three columns, or those that a first line calls x, y, z, parted
-                  by blanks, commas or semicolons; others, such as normals, are ignored
+    xyz, txt,     the first three columns, or those that a first line calls x, y, z, parted
+    csv, asc,     by blanks, commas or semicolons; others, such as normals, are ignored; txt,
+    pts           csv and asc, which may be anything, are not looked for in folders
+    pcd           ASCII or binary, not compressed
+    vtk, vtp,     polygons, strips, and grids whose cells are flat, by VTK
+    vtu
+    pial, white   triangles of FreeSurfer, and all other names that it gives them
+    gii           one point set with its triangles, by nibabel (extra ``brain``)
+    msh, mesh,    triangles, quads and polygons of Gmsh, MEDIT and Abaqus, by meshio (extra
+    inp           ``meshio``)
     ============  ====================================================================
 
     Polygons become triangles around their first corner where that is right, and are cut by their
@@ -147,7 +158,8 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     of each line. What no format says twice cannot be: a digit of a coordinate outside npz, a text
     file cut inside its very last number, an OBJ or XYZ file cut between two lines. glTF is read
     without its skins and morph targets, and refused where it requires an extension, such as
-    compression, that is not known here.
+    compression, that is not known here. Cells that fill a volume are passed over beside faces, and
+    refused alone: the advice makes a surface of them.
 
     What a packed file unpacks to, the packed arrays of npz, and what a glTF shows, however often it
     shows one mesh, may take 100 times the bytes of the file and of its buffers, or 64 MiB where

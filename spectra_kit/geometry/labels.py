@@ -17,8 +17,8 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import TriangleMesh
 
 _BACKGROUND = 0
-# Of Taubin's filter: stairs of voxels, two to twenty wide, are flat then, and what is larger stays.
-_STEPS, _PASS = 100, 0.05
+_STEPS, _PASS = 30, 0.07  # of Taubin's filter: fewer leave stairs of voxels, more take small parts
+_LOST = 0.1  # of its volume, at most, is what smoothing may take from a label
 
 
 @checked
@@ -36,12 +36,16 @@ class LabelSurface(Rebuilt):
         Of its voxels, in length^3: the surface encloses about as much.
     area : float
         Of the surface, in length^2.
+    is_smooth : bool
+        Whether it was smoothed; a label of a few voxels, which would vanish, keeps its stairs, and
+        half as much area again as what they stand for.
     """
 
     label: int
     geometry: TriangleMesh
     volume: float
     area: float
+    is_smooth: bool
 
 
 @checked
@@ -73,8 +77,8 @@ def from_labels(
     -----
     Surface nets [1]_, one for the whole image, so that labels that touch share their border, are
     smoothed by Taubin's filter [2]_, which keeps volumes. Where a label meets the border of the
-    image it is closed there. Corners are rounded by about a voxel; of a ball of 6 voxels in radius
-    the area is right within 1 %, but of one of a voxel or two nothing but the volume is.
+    image it is closed there. Edges are rounded by about a voxel. Of balls from 3 voxels in radius
+    on, areas are right within 3 %, from 6 on within 1 %, and what the surface encloses within 1 %.
 
     References
     ----------
@@ -105,19 +109,28 @@ def from_labels(
     where = np.nonzero(number)
     corner = np.array([axis.min() for axis in where])
     box = tuple(slice(axis.min(), axis.max() + 1) for axis in where)
-    points, faces, sides = _nets(number[box])
-    points = (points + corner) @ affine[:3, :3].T + affine[:3, 3]
+    stairs, smooth, faces, sides = _nets(number[box])
     scale = float(np.linalg.det(affine[:3, :3]))
     counts = np.bincount(number[box].ravel(), minlength=len(held) + 1)
     found = []
     for i, label in enumerate(held.tolist(), start=1):
         is_side = (sides == i).any(axis=1)
         # A face looks away from the first of its two labels; a mirroring turns them all.
-        is_turned = (sides[is_side, 0] != i) != (scale < 0)
-        own = np.where(is_turned[:, None], faces[is_side][:, ::-1], faces[is_side])
-        mesh = TriangleMesh(points, own).without_unreferenced()
-        found.append(LabelSurface(int(label), mesh, float(counts[i]) * abs(scale), mesh.area))
+        is_turned = (sides[is_side, 0] != i)[:, None]
+        own = np.where(is_turned, faces[is_side][:, ::-1], faces[is_side])
+        used, own = np.unique(own, return_inverse=True)
+        is_smooth = abs(_enclosed(smooth[used], own) - counts[i]) <= _LOST * counts[i]
+        points = (smooth if is_smooth else stairs)[used] + corner
+        mesh = TriangleMesh(
+            points @ affine[:3, :3].T + affine[:3, 3], own if scale > 0 else own[:, ::-1]
+        )
+        volume = float(counts[i]) * abs(scale)
+        found.append(LabelSurface(int(label), mesh, volume, mesh.area, bool(is_smooth)))
     return found
+
+
+def _enclosed(points: Floats, faces: NDArray[Any]) -> float:
+    return float(np.linalg.det((points - points[0])[faces]).sum() / 6)
 
 
 def _voxels(image: Any, spacing: Any) -> tuple[NDArray[Any], Floats]:
@@ -156,16 +169,23 @@ def _voxels(image: Any, spacing: Any) -> tuple[NDArray[Any], Floats]:
     return voxels, affine
 
 
-def _nets(number: NDArray[np.int32]) -> tuple[Floats, NDArray[Any], NDArray[Any]]:
-    """Return points, in indices, faces, and the two labels (f, 2) that each parts."""
+def _nets(number: NDArray[np.int32]) -> tuple[Floats, Floats, NDArray[Any], NDArray[Any]]:
+    """Return points before and after smoothing, faces, and the two labels (f, 2) that each parts.
+
+    Points are in indices of voxels.
+    """
     import pyvista  # which is slow to import
 
-    grid = pyvista.ImageData(dimensions=number.shape)
-    grid["label"] = number.ravel(order="F")
-    net: Any = grid.contour_labels("all", smoothing=False, output_mesh_type="triangles")
+    padded = np.pad(number, 1)  # so that all is closed; PyVista pads no single layer
+    grid = pyvista.ImageData(dimensions=padded.shape, origin=(-1, -1, -1))
+    grid["label"] = padded.ravel(order="F")
+    net: Any = grid.contour_labels(
+        "all", smoothing=False, pad_background=False, output_mesh_type="triangles"
+    )
     sides = np.asarray(net.cell_data["boundary_labels"])
     faces = np.asarray(net.regular_faces)
     smooth = net.smooth_taubin(
         n_iter=_STEPS, pass_band=_PASS, boundary_smoothing=True, non_manifold_smoothing=True
     )
-    return np.asarray(smooth.points, dtype=np.float64), faces, sides
+    stairs, points = (np.asarray(one.points, dtype=np.float64) for one in (net, smooth))
+    return stairs, points, faces, sides
