@@ -266,12 +266,12 @@ def _point_data(values: Mapping[str, ArrayLike], n: int, suffix: str) -> dict[st
     columns = dict[str, NDArray[Any]]()
     for name, given in values.items():
         array = as_array("point_data", given)
-        if array.ndim not in (1, 2) or len(array) != n or array.dtype.kind not in "fiub":
+        if array.ndim not in (1, 2) or len(array) != n or array.dtype.kind not in "fiu":
             expected = f"hold numbers, a row for each of {n} points"
             got = f"shape {array.shape} of {array.dtype} as {name!r}"
             raise InvalidInputError("point_data", expected, got)
-        if not isinstance(name, str) or not name or (suffix == ".ply" and not _WORD.match(name)):
-            told = "name its arrays" + " by words without blanks" * (suffix == ".ply")
+        if not name or (suffix == ".ply" and (name in ("x", "y", "z") or not _WORD.match(name))):
+            told = "name its arrays" + " by words other than x, y, z" * (suffix == ".ply")
             raise InvalidInputError("point_data", told, repr(name))
         if array.ndim == 1 or suffix in (".vtk", ".vtp"):
             columns[name] = array

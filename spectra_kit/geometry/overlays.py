@@ -95,7 +95,7 @@ def write_overlay(values: ArrayLike, path: str | os.PathLike[str]) -> None:
     """
     path = Path(path)
     array = as_array("values", values)
-    if array.dtype.kind not in "fiub" or array.ndim not in (1, 2) or not array.size:
+    if array.dtype.kind not in "fiu" or array.ndim not in (1, 2) or not array.size:
         got = f"shape {array.shape} of {array.dtype}"
         raise InvalidInputError("values", "be numbers of shape (n,) or (n, d)", got)
     columns = array.reshape(len(array), -1).T

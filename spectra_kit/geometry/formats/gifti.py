@@ -55,7 +55,7 @@ def save(path: Path, parts: Mapping[str, Any], fields: Mapping[str, Any] | None 
     gifti = optional("nibabel", extra="brain", needed_by="writing GIfTI").gifti
 
     def array(values: Any, intent: str, **meta: str) -> Any:
-        kind = np.int32 if np.asarray(values).dtype.kind in "iub" else np.float32
+        kind = np.int32 if np.asarray(values).dtype.kind in "iu" else np.float32
         return gifti.GiftiDataArray(
             np.asarray(values, kind), intent=intent, meta=gifti.GiftiMetaData(meta)
         )
