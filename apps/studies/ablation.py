@@ -37,7 +37,7 @@ from spectra_kit import (
 from spectra_kit.eigen.metrics import compare_spectra, span_error, subspace_span_error
 from spectra_kit.errors import DoubtfulSpectrumWarning
 from spectra_kit.geometry import GaussianDensity, sample
-from spectra_kit.geometry.io import READERS
+from spectra_kit.geometry.io import is_readable
 from spectra_kit.neo import NeoConfig, NeoSubspace, load_pretrained, save_weights
 from spectra_kit.neo.train.config import TrainConfig
 from spectra_kit.neo.train.corpus import Corpus, open_shards
@@ -278,7 +278,7 @@ def measure(args: argparse.Namespace) -> None:
     base = TINY
     corpus, validation = open_shards(args.corpus), open_shards(args.validation)
     files = sorted(args.data.iterdir()) if args.data else []
-    meshes = [file for file in files if file.suffix.lower() in READERS][: args.limit]
+    meshes = [file for file in files if is_readable(file)][: args.limit]
     clouds = Clouds(
         folder=args.out,
         contenders=[],

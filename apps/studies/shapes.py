@@ -16,7 +16,7 @@ from spectra_kit._core.files import atomic_path, parsing
 from spectra_kit._core.fingerprint import shape_digest
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, creature, read, repair
-from spectra_kit.geometry.io import READERS
+from spectra_kit.geometry.io import READERS, is_readable
 from spectra_kit.operators import Laplacian
 
 
@@ -85,7 +85,7 @@ def shape_at(path: Path) -> Shape:
 def shapes_in(folder: Path, limit: int | None = None) -> tuple[Shape, ...]:
     """Read the meshes of a folder, or the first so many, by name, as `shape_at` does."""
     entries = sorted(folder.iterdir()) if folder.is_dir() else []
-    paths = [path for path in entries if path.suffix.lower() in READERS][:limit]
+    paths = [path for path in entries if is_readable(path)][:limit]
     if not paths:
         raise InvalidInputError(
             "folder",

@@ -10,7 +10,9 @@ from spectra_kit.errors import MissingDependencyError
 _PACKAGES = {  # extra -> what pip calls the package
     "batch": "distributed",
     "backbones": "torch_geometric",
+    "brain": "nibabel",
     "learn": "scikit-learn",
+    "meshio": "meshio",
     "tensorboard": "tensorboard",
     "video": "imageio-ffmpeg",
 }

@@ -70,7 +70,7 @@ def _check_three_columns(name: str, array: NDArray[np.generic], rows: str) -> No
         if array.ndim == 2 and not turned and len(array):
             hint = _columns_advice(name, array.shape[1], rows)
         if array.ndim == 3 and array.shape[2] > 3 and rows == "n":  # an image, of voxels
-            hint = f"of an image, pyvista.wrap(1.0 * {name}).contour([0.5]) is the surface"
+            hint = f"of an image of labels, geometry.from_labels({name}) makes a surface of each"
         raise InvalidInputError(name, f"have shape ({rows}, 3)", array.shape, advice=hint)
 
 

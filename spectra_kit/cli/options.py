@@ -18,7 +18,10 @@ from spectra_kit.catalogue import OPERATORS, SOLVERS, SUBSPACES
 from spectra_kit.errors import InvalidInputError
 
 DEMO = "demo"
-FORMATS = "obj, off, ply, stl, glb, gltf, xyz, npy, npz"
+FORMATS = (
+    "obj, off, ply, stl, glb, gltf, vtk, vtp, vtu, gii, pial, white, inflated, sphere, smoothwm,"
+    " midthickness, graymid, msh, mesh, inp, xyz, txt, csv, asc, pts, pcd, npy, npz"
+)
 PICTURES = (".png", ".pdf", ".svg")
 NETWORK = ("weights", "poses", "dtype", "device")  # what the network alone may be told
 _DRAWN = ("dpi", "up", "turn")
@@ -47,7 +50,7 @@ if TYPE_CHECKING:
 else:  # a text; but of a path the shell knows how to complete it
     File = str | Path
 
-_GEOMETRY = f"a mesh or point cloud ({FORMATS}), or {DEMO!r} for an animal made on the spot"
+_GEOMETRY = f"a mesh or point cloud (obj, ply, vtk ...), or {DEMO!r} for an animal made on the spot"
 GeometryFile = Annotated[File, Parameter(help=_GEOMETRY)]
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 Count = Annotated[int, Parameter(name="-k", metavar="K")]

@@ -2,6 +2,7 @@
 
 import io
 import shutil
+import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -176,6 +177,9 @@ def help_text(name: str | None) -> str:
             app(name).help_print([name], console=console)
         return captured.get()
     rows = COMMANDS.items()
+    files = textwrap.fill(
+        f"FILE: {FORMATS}; or {DEMO}, a made-up animal.", _WIDTH - 1, subsequent_indent="  "
+    )
     lines = "\n".join(f"  {name:10}  {what:20}  spectra-kit {how}" for name, (what, how) in rows)
     return f"""\
 usage: spectra-kit COMMAND FILE [options]      more: spectra-kit COMMAND --help
@@ -183,6 +187,6 @@ From a mesh or point cloud to its Laplace-Beltrami spectrum, and onwards:
 
 {lines}
 
-FILE: {FORMATS}; or {DEMO}, a made-up animal.
+{files}
 Exit codes: 0 fine, 1 bug, 2 bad usage or file, 3 solver failed, 130 Ctrl-C
 """

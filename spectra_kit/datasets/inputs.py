@@ -7,7 +7,7 @@ import glob
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
@@ -21,6 +21,7 @@ from spectra_kit.datasets.files import MARK, ShapeRecord
 from spectra_kit.datasets.plan import Plan
 from spectra_kit.datasets.store import SpectrumStore
 from spectra_kit.errors import InvalidFileError, InvalidInputError
+from spectra_kit.geometry.formats._room import format_of
 from spectra_kit.geometry.formats.foreign import advice_for
 from spectra_kit.geometry.io import READERS, readable_files
 
@@ -86,7 +87,8 @@ def find_inputs(sources: Sequence[str | os.PathLike[str]]) -> list[Input]:
     sources : sequence of path-like
         Files of any format that `geometry.read` knows; patterns with ``*``, ``?``, ``[]`` and
         ``**``, where ``{subject}`` is any part of a name, and becomes a column of the table;
-        folders, of which all such files are taken, those of folders inside, too; and
+        folders, of which all such files are taken, those of folders inside, too, but for txt, csv
+        and asc, which may be anything: a pattern such as ``*.txt`` takes them; and
         manifests: CSV files whose column ``file`` names files, relative to the manifest. A column
         ``name`` names them otherwise, further ones are handed on to the table. Links to folders are
         followed; one to nothing is a file that cannot be read.
@@ -207,33 +209,35 @@ def refuse_twice(argument: str, names: Sequence[str]) -> None:
 
 def _inputs_of(source: str) -> Iterator[Input]:
     path = Path(source)
-    if path.suffix.lower() == ".csv":
+    if path.is_dir():
+        yield from _some(source, readable_files(found := [*_inside(path)]), found, "hold")
+    elif (_FIELD.search(source) or any(sign in source for sign in _PATTERN)) and not path.exists():
+        columns = _matched(source)
+        files = readable_files(columns, named=format_of(path) in READERS)
+        for one in _some(source, files, [*columns], "match"):
+            yield replace(one, columns=columns[one.path])
+    elif path.suffix.lower() == ".csv":
         yield from _listed(path)
-    elif path.is_dir():
-        yield from _some(source, _inside(path), "hold meshes or clouds")
-    elif _FIELD.search(source) and not path.exists():
-        yield from _of_fields(source)
-    elif any(sign in source for sign in _PATTERN) and not path.exists():
-        matches = map(Path, glob.glob(source, recursive=True))
-        yield from _some(source, matches, "match meshes or clouds")
     else:
         yield Input(name=path.as_posix(), path=path)  # to read it will tell what is wrong with it
 
 
-def _of_fields(source: str) -> Iterator[Input]:
-    """Return what a pattern with ``{fields}`` matches, with these as columns."""
-    pieces, known, written = _FIELD.split(source), set[str](), ""
-    for i, piece in enumerate(pieces):
+def _matched(pattern: str) -> dict[Path, dict[str, str]]:
+    """Return the files that a pattern matches, with its ``{fields}``."""
+    written, known = "", set[str]()
+    for i, piece in enumerate(_FIELD.split(pattern)):
         if i % 2 == 0:  # between fields; which files there are, glob tells
-            signs = re.split(r"(\*+|\?|\[[^]]*\])", piece)
-            written += "".join(".*" if j % 2 else re.escape(sign) for j, sign in enumerate(signs))
+            signs = re.split(r"(\*\*/|\*+|\?|\[[^]]*\])", piece)
+            written += "".join(
+                re.escape(sign) if j % 2 == 0 else "(?:.*/)?" if sign == "**/" else ".*"
+                for j, sign in enumerate(signs)
+            )
         else:
             written += f"(?P={piece})" if piece in known else f"(?P<{piece}>[^/]+?)"
             known.add(piece)
-    matches = (re.fullmatch(written, p) for p in glob.glob(_FIELD.sub("*", source), recursive=True))
-    found = {Path(one.string).as_posix(): one.groupdict() for one in matches if one}
-    for one in _some(source, map(Path, found), "match meshes or clouds"):
-        yield replace(one, columns=found[one.name])
+    found = glob.glob(_FIELD.sub("*", pattern), recursive=True)
+    matches = (re.fullmatch(written, path) for path in found)
+    return {Path(one.string): one.groupdict() for one in matches if one}
 
 
 def _inside(folder: Path, above: frozenset[tuple[int, int]] = frozenset()) -> Iterator[Path]:
@@ -252,14 +256,13 @@ def _inside(folder: Path, above: frozenset[tuple[int, int]] = frozenset()) -> It
             yield path
 
 
-def _some(source: str, found: Iterable[Path], expected: str) -> Iterator[Input]:
-    found = list(found)
-    paths = readable_files(found)
+def _some(source: str, paths: list[Path], found: list[Path], verb: str) -> Iterator[Input]:
     if not paths:
         known = ", ".join(sorted(READERS))
         other = min((path for path in found if path.suffix), default=None)
         advice = f"of {other.name!r}: {advice_for(other)}" if other else ""
-        raise InvalidInputError(repr(source), f"{expected} ({known})", "none", advice=advice)
+        expected = f"{verb} meshes or clouds ({known})"
+        raise InvalidInputError(repr(source), expected, "none", advice=advice)
     yield from (Input(name=path.as_posix(), path=path) for path in paths)
 
 

@@ -13,10 +13,12 @@ from spectra_kit.geometry.components import Component, components, largest_compo
 from spectra_kit.geometry.creature import creature, creature_pair, mirrored, permuted
 from spectra_kit.geometry.diagnose import Diagnosis, Problem, diagnose
 from spectra_kit.geometry.io import read, write
+from spectra_kit.geometry.labels import LabelSurface, from_labels
 from spectra_kit.geometry.normalize import Normalization, normalize
 from spectra_kit.geometry.normals import estimate_normals, orient_normals
+from spectra_kit.geometry.overlays import Overlay, read_overlay, write_overlay
 from spectra_kit.geometry.reference import Reference, disk, rectangle, sphere, torus
-from spectra_kit.geometry.repair import Repaired, RepairReport, repair, without_nan
+from spectra_kit.geometry.repair import Repaired, RepairReport, repair, restrict, without_nan
 from spectra_kit.geometry.sampling import GaussianDensity, Samples, sample, sample_with_origin
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 from spectra_kit.geometry.tetrahedra import BoundarySurface, TetrahedralMesh
@@ -27,7 +29,9 @@ __all__ = [
     "Diagnosis",
     "GaussianDensity",
     "Geometry",
+    "LabelSurface",
     "Normalization",
+    "Overlay",
     "PointCloud",
     "Problem",
     "Reference",
@@ -43,18 +47,22 @@ __all__ = [
     "diagnose",
     "disk",
     "estimate_normals",
+    "from_labels",
     "largest_component",
     "mirrored",
     "normalize",
     "orient_normals",
     "permuted",
     "read",
+    "read_overlay",
     "rectangle",
     "repair",
+    "restrict",
     "sample",
     "sample_with_origin",
     "sphere",
     "torus",
     "without_nan",
     "write",
+    "write_overlay",
 ]

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+import re
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from spectra_kit._core.checked import checked
 from spectra_kit._core.files import atomic_path
-from spectra_kit._core.validate import quantity
+from spectra_kit._core.validate import as_array, quantity
 from spectra_kit._core.warn import hearing, warn
 from spectra_kit.errors import (
     IgnoredContentWarning,
@@ -17,27 +21,50 @@ from spectra_kit.errors import (
     InvalidInputError,
     OutOfMemoryError,
 )
-from spectra_kit.geometry.formats import gltf, numpy_arrays, obj, off, ply, stl, xyz
+from spectra_kit.geometry.formats import (
+    elements,
+    freesurfer,
+    gifti,
+    gltf,
+    numpy_arrays,
+    obj,
+    off,
+    pcd,
+    ply,
+    stl,
+    vtk,
+    xyz,
+)
 from spectra_kit.geometry.formats._arrays import Arrays
-from spectra_kit.geometry.formats._room import PACKED, format_of, unpacked
+from spectra_kit.geometry.formats._room import PACKED, beginning, format_of, unpacked
 from spectra_kit.geometry.formats.foreign import advice_for, is_foreign
 from spectra_kit.geometry.polygons import surface
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 
 Made = TypeVar("Made")
+_WORD = re.compile(r"[!-~]+$")
 
+# FreeSurfer names its surfaces as it likes, so that others of its files are known by content.
+_SURFACES = (".graymid", ".inflated", ".midthickness", ".pial", ".smoothwm", ".sphere", ".white")
 READERS: dict[str, Callable[[Path], Arrays]] = {
+    ".gii": gifti.read,
     ".glb": gltf.read,
     ".gltf": gltf.read,
     ".npy": numpy_arrays.read_npy,
     ".npz": numpy_arrays.read_npz,
     ".obj": obj.read,
     ".off": off.read,
+    ".pcd": pcd.read,
     ".ply": ply.read,
     ".stl": stl.read,
-    ".xyz": xyz.read,
+    **dict.fromkeys(_SURFACES, freesurfer.read),
+    **dict.fromkeys((".vtk", ".vtp", ".vtu"), vtk.read),
+    **dict.fromkeys((".asc", ".csv", ".pts", ".txt", ".xyz"), xyz.read),
+    **dict.fromkeys(elements.MODULES, elements.read),
 }
-MESH_WRITERS: dict[str, Callable[[Any, Path], None]] = {
+_ANYTHING = (".asc", ".csv", ".txt")  # may hold points, and is read where it is named
+MESH_WRITERS: dict[str, Callable[..., None]] = {
+    ".gii": gifti.write,
     ".glb": gltf.write,
     ".gltf": gltf.write,
     ".npz": numpy_arrays.write_npz,
@@ -45,13 +72,18 @@ MESH_WRITERS: dict[str, Callable[[Any, Path], None]] = {
     ".off": off.write,
     ".ply": ply.write,
     ".stl": stl.write,
+    ".vtk": vtk.write,
+    ".vtp": vtk.write,
 }
-CLOUD_WRITERS: dict[str, Callable[[Any, Path], None]] = {
+CLOUD_WRITERS: dict[str, Callable[..., None]] = {
     ".npy": numpy_arrays.write_npy,
     ".npz": numpy_arrays.write_npz,
     ".ply": ply.write,
+    ".vtk": vtk.write,
+    ".vtp": vtk.write,
     ".xyz": xyz.write,
 }
+_WITH_DATA = (".gii", ".ply", ".vtk", ".vtp")
 
 
 @checked
@@ -61,8 +93,9 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     Parameters
     ----------
     path : path-like
-        A file of one of the formats below; the extension says which, in any case. Packed ones
-        (gz, bz2, xz) are unpacked: of ``a.ply.gz``, what it packs is read as ply.
+        A file of one of the formats below; the extension says which, in any case, or of
+        FreeSurfer the content. Packed ones (gz, bz2, xz) are unpacked: of ``a.ply.gz``, what it
+        packs is read as ply.
     kind : {"mesh", "cloud"}, optional
         What the caller needs: "mesh" refuses a file without faces, "cloud" drops the faces. By
         default a file with faces gives a mesh and a file without them a cloud.
@@ -80,6 +113,8 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
         formats that others read, it says who, and how to hand over what they return.
     OutOfMemoryError
         If the content does not fit into memory.
+    MissingDependencyError
+        If the format is one that nibabel or meshio reads, and that is not installed.
 
     Warns
     -----
@@ -102,8 +137,16 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     npz           arrays points (or V, vertices, verts) and, for a mesh, faces (or F); where
                   none is called so, vert, v, xyz and triangles, tris, tri, TRIV, f
     npy           points of shape (n, 3)
-    xyz           the first three columns, or those that a first line calls x, y, z, parted
-                  by blanks, commas or semicolons; others, such as normals, are ignored
+    xyz, txt,     the first three columns, or those that a first line calls x, y, z, parted
+    csv, asc,     by blanks, commas or semicolons; others, such as normals, are ignored; txt,
+    pts           csv and asc, which may be anything, are not looked for in folders
+    pcd           ASCII or binary, not compressed
+    vtk, vtp,     polygons, strips, and grids whose cells are flat, by VTK
+    vtu
+    pial, white   triangles of FreeSurfer, and all other names that it gives them
+    gii           one point set with its triangles, by nibabel (extra ``brain``)
+    msh, mesh,    triangles, quads and polygons of Gmsh, MEDIT and Abaqus, by meshio (extra
+    inp           ``meshio``)
     ============  ====================================================================
 
     Polygons become triangles around their first corner where that is right, and are cut by their
@@ -115,7 +158,8 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     of each line. What no format says twice cannot be: a digit of a coordinate outside npz, a text
     file cut inside its very last number, an OBJ or XYZ file cut between two lines. glTF is read
     without its skins and morph targets, and refused where it requires an extension, such as
-    compression, that is not known here.
+    compression, that is not known here. Cells that fill a volume are passed over beside faces, and
+    refused alone: the advice makes a surface of them.
 
     What a packed file unpacks to, the packed arrays of npz, and what a glTF shows, however often it
     shows one mesh, may take 100 times the bytes of the file and of its buffers, or 64 MiB where
@@ -140,6 +184,11 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
 def content_of(path: Path, make: Callable[[Any, Any], Made]) -> Made:
     """Return what `make` makes of the points and faces of a file."""
     reader = _lookup(READERS, path, "read", advice_for(path))
+    return taken_of(path, lambda plain: make(*reader(plain)))
+
+
+def taken_of(path: Path, take: Callable[[Path], Made]) -> Made:
+    """Return what `take` makes of a file, unpacked; say what is wrong with it, or odd."""
     if path.is_dir():
         raise InvalidFileError(path, "this is a folder, expected a file")
     if not path.exists():
@@ -148,8 +197,7 @@ def content_of(path: Path, make: Callable[[Any, Any], Made]) -> Made:
         raise InvalidFileError(path, "the file is empty")
     try:
         with hearing() as heard, unpacked(path) as plain:
-            points, faces = reader(plain)
-            made = make(points, faces)
+            made = take(plain)
         if heard:
             told = "; ".join(dict.fromkeys(map(str, heard)))
             warn(told, IgnoredContentWarning, where=str(path))
@@ -176,7 +224,12 @@ def _geometry(points: Any, faces: Any, kind: Literal["mesh", "cloud"] | None) ->
 
 
 @checked
-def write(geometry: Geometry, path: str | os.PathLike[str]) -> None:
+def write(
+    geometry: Geometry,
+    path: str | os.PathLike[str],
+    *,
+    point_data: Mapping[str, ArrayLike] | None = None,
+) -> None:
     """Write a mesh or a point cloud; the file appears whole or not at all.
 
     Parameters
@@ -184,37 +237,71 @@ def write(geometry: Geometry, path: str | os.PathLike[str]) -> None:
     geometry : TriangleMesh or PointCloud
         What to write.
     path : path-like
-        Where. The extension names the format: obj, off, ply, stl, glb, gltf or npz for a mesh;
-        ply, xyz, npy or npz for a cloud. A file that is there is replaced.
+        Where. The extension names the format: obj, off, ply, stl, glb, gltf, gii, vtk, vtp or npz
+        for a mesh; ply, vtk, vtp, xyz, npy or npz for a cloud. A file that is there is replaced.
+    point_data : dict of str to array_like of shape (n,) or (n, d), optional
+        Values at the points by their names, which ply, vtk, vtp and gii have room for. NaN says
+        that there is none. In ply and gii, columns of one array are called ``name_0``, ``name_1``.
 
     Notes
     -----
-    All formats give the same float64 numbers back when read again, except stl, glb and gltf, which
-    store float32. STL also forgets unused vertices and the vertex order. `read` has an example.
+    All formats give the same float64 numbers back when read again, except stl, glb, gltf and gii,
+    which store float32. STL also forgets unused vertices and the vertex order. `read` has an
+    example.
     """
     path = Path(path)
     writers = MESH_WRITERS if isinstance(geometry, TriangleMesh) else CLOUD_WRITERS
-    vtk = "spectra_kit.interop.to_pyvista(geometry).save(path) does"
-    advice = vtk * (path.suffix.lower() in (".vtk", ".vtp"))
-    writer = _lookup(writers, path, f"write a {type(geometry).__name__} to", advice)
+    writer = _lookup(writers, path, f"write a {type(geometry).__name__} to")
+    data = _point_data(point_data, geometry.n, path.suffix.lower()) if point_data else None
     with atomic_path(path) as part:
-        writer(geometry, part)
+        writer(geometry, part, data) if data else writer(geometry, part)
+
+
+def _point_data(values: Mapping[str, ArrayLike], n: int, suffix: str) -> dict[str, NDArray[Any]]:
+    """Return values at n points as a format has them."""
+    if suffix not in _WITH_DATA:
+        told = f"be left out in {suffix} files, which have no room for it"
+        advice = f"write one of {', '.join(_WITH_DATA)}"
+        raise InvalidInputError("point_data", told, ", ".join(map(str, values)), advice=advice)
+    columns = dict[str, NDArray[Any]]()
+    for name, given in values.items():
+        array = as_array("point_data", given)
+        if array.ndim not in (1, 2) or len(array) != n or array.dtype.kind not in "fiu":
+            expected = f"hold numbers, a row for each of {n} points"
+            got = f"shape {array.shape} of {array.dtype} as {name!r}"
+            raise InvalidInputError("point_data", expected, got)
+        if not name or (suffix == ".ply" and (name in ("x", "y", "z") or not _WORD.match(name))):
+            told = "name its arrays" + " by words other than x, y, z" * (suffix == ".ply")
+            raise InvalidInputError("point_data", told, repr(name))
+        if array.ndim == 1 or suffix in (".vtk", ".vtp"):
+            columns[name] = array
+        else:
+            columns |= {f"{name}_{i}": column for i, column in enumerate(array.T)}
+    if suffix == ".ply":
+        columns = {name: column.astype(np.float64) for name, column in columns.items()}
+    return columns
 
 
 def is_readable(path: Path) -> bool:
-    """Whether the name is that of a format that `read` knows."""
-    return format_of(path) in READERS
+    """Whether this is a file for `read` by its name, which is not that of what may be anything.
 
-
-def readable_files(paths: Iterable[Path]) -> list[Path]:
-    """Return those that `read` knows by their names, sorted, and tell of geometries among the rest.
-
-    A link to nothing is one of them: it fails, and is told.
+    Or a surface of FreeSurfer by its content.
     """
-    named = [path for path in paths if is_readable(path) or is_foreign(path)]
-    found = sorted(path for path in named if path.is_file() or not path.exists())
-    files = [path for path in found if is_readable(path)]
-    others = [path for path in found if is_foreign(path)]
+    return _known_as(path) in READERS and format_of(path) not in _ANYTHING
+
+
+def readable_files(paths: Iterable[Path], *, named: bool = False) -> list[Path]:
+    """Return those that `read` knows, sorted, and tell of geometries among the rest.
+
+    A link to nothing is one of them: it fails, and is told. So are texts and tables, if `named`.
+    """
+    paths = list(paths)
+    readable = {
+        path for path in paths if is_readable(path) or (named and format_of(path) in READERS)
+    }
+    found = sorted(path for path in paths if path.is_file() or not path.exists())
+    files = [path for path in found if path in readable]
+    others = [path for path in found if path not in readable and is_foreign(path)]
     if files and others:
         warn(
             f"passed over {quantity(len(others), 'file')} of formats that are not read, the first"
@@ -225,9 +312,17 @@ def readable_files(paths: Iterable[Path]) -> list[Path]:
     return files
 
 
+def _known_as(path: Path) -> str:
+    """Return the extension that names the format."""
+    suffix = format_of(path)
+    if suffix not in READERS and beginning(path, len(freesurfer.MARK)) == freesurfer.MARK:
+        return _SURFACES[0]
+    return suffix
+
+
 def _lookup(table: dict[str, Any], path: Path, action: str, advice: str = "") -> Any:
     try:
-        return table[format_of(path) if table is READERS else path.suffix.lower()]
+        return table[_known_as(path) if table is READERS else path.suffix.lower()]
     except KeyError as error:
         known = f"known are {', '.join(sorted(table))}"
         if table is READERS:

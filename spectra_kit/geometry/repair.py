@@ -51,6 +51,8 @@ class RepairReport:
         Faces that were wound against their neighbours.
     hanging_vertices : int
         Vertices at which faces were cut, inside of whose edges they lay.
+    masked_points : int
+        Points that were left out by `restrict`.
     """
 
     merged_points: int = 0
@@ -61,6 +63,7 @@ class RepairReport:
     nan_points: int = 0
     turned_faces: int = 0
     hanging_vertices: int = 0
+    masked_points: int = 0
 
 
 @checked
@@ -216,6 +219,61 @@ def _near(geometry: Geometry, points: Floats, label: Ints, tolerance: float) -> 
     edge = TriangleMesh(points, label[geometry.faces]).boundary_vertices
     alone[edge] = edge[joined(points[edge], np.full(len(edge), tolerance))]
     return alone
+
+
+@checked
+def restrict(geometry: Geometry, keep: Any) -> Repaired:
+    """Return the region of some points alone: cortex without its medial wall, a marked part.
+
+    Parameters
+    ----------
+    geometry : TriangleMesh or PointCloud
+        With n points; is left as it is.
+    keep : array_like of bool, shape (n,)
+        Which points are in the region. Faces of which a corner is not go, and then points without
+        a face; where they were, the region has a boundary.
+
+    Returns
+    -------
+    Repaired
+        The region, and index arrays in both directions: ``values[vertex_index]`` carries a function
+        over, ``restore(modes)`` brings one back to all points, NaN elsewhere.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import spectra_kit as sk
+    >>> ball = sk.geometry.sphere(subdivisions=3).geometry
+    >>> cap = sk.geometry.restrict(ball, ball.points[:, 2] > 0.5)
+    >>> modes = sk.spectrum(cap.geometry, 4).eigenvectors
+    >>> cap.restore(modes).shape, bool(np.isnan(cap.restore(modes)[ball.points[:, 2] < 0]).all())
+    ((642, 4), True)
+    """
+    n = geometry.n
+    mask: NDArray[Any] = as_array("keep", keep)
+    if mask.dtype != bool or mask.shape != (n,):
+        raise InvalidInputError(
+            "keep",
+            f"say True or False of each of {n} points",
+            f"shape {mask.shape} of {mask.dtype}",
+            advice="of indices, numpy.isin(numpy.arange(n), indices) does; of labels, labels > 0",
+        )
+    kept = mask
+    if isinstance(geometry, TriangleMesh):
+        faces = geometry.faces[mask[geometry.faces].all(axis=1)]
+        if not len(faces):
+            raise InvalidInputError("keep", "leave a face with all of its corners")
+        kept = np.bincount(faces.ravel(), minlength=n) > 0
+    elif not mask.any():
+        raise InvalidInputError("keep", "leave a point")
+    new_index = np.where(kept, np.cumsum(kept) - 1, -1)
+    points = geometry.points[kept]
+    region: Geometry = PointCloud(points)
+    if isinstance(geometry, TriangleMesh):
+        region = TriangleMesh(points, new_index[faces])
+    out = n - int(mask.sum())
+    report = RepairReport(masked_points=out, unreferenced_vertices=n - out - int(kept.sum()))
+    return Repaired(region, report, np.flatnonzero(kept), new_index)
 
 
 def without_nan(points: Any, faces: Any = None) -> Repaired:

@@ -142,10 +142,11 @@ def test_links_to_folders_are_followed_and_those_to_nothing_are_named(folder):
 
 
 def test_geometries_of_other_formats_are_told(folder):
-    Path("scans/deep/brain.gii").touch()
+    Path("scans/deep/part.3mf").touch()
     Path("scans/deep/table.csv").touch()  # which may be anything
-    with pytest.warns(IgnoredContentWarning, match=r"over 1 file .* 'brain\.gii'.* nibabel\.load"):
+    with pytest.warns(IgnoredContentWarning, match=r"over 1 file .* 'part\.3mf'.* trimesh\.load"):
         assert len(names("scans")) == 3
+    assert names("scans/deep/*.csv") == ["scans/deep/table.csv"]
 
 
 def test_sources_that_name_nothing_or_one_thing_twice(folder):
@@ -153,8 +154,8 @@ def test_sources_that_name_nothing_or_one_thing_twice(folder):
     for source, expected in (("empty", "hold meshes or clouds"), ("*.stl", "match meshes or cl")):
         with pytest.raises(ValueError, match=f"`'.*'` must {expected}"):
             find_inputs([source])
-    Path("empty/brain.gii").touch()  # of another format: by whom it is read
-    with pytest.raises(ValueError, match=r"got none; of 'brain\.gii': hand over nibabel\.load"):
+    Path("empty/part.3mf").touch()  # of another format: by whom it is read
+    with pytest.raises(ValueError, match=r"got none; of 'part\.3mf': hand over trimesh\.load"):
         find_inputs(["empty"])
     refused("sources", "name a file at least, got none", find_inputs, [])
     refused("sources", "have names of their own, got 1 several times", find_inputs,

@@ -48,7 +48,7 @@ TRANSPOSED = "did you pass its transpose?"
             np.zeros((9, 8, 7)),
             "have shape (n, 3)",
             "(9, 8, 7)",
-            "of an image, pyvista.wrap(1.0 * points).contour([0.5]) is the surface",
+            "of an image of labels, geometry.from_labels(points) makes a surface of each",
         ),
         (np.zeros((4, 3), dtype=complex), "hold real numbers", "dtype complex128", ""),
         ([["a", "b", "c"]], "hold real numbers", "dtype <U1", ""),

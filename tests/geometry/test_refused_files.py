@@ -138,7 +138,7 @@ def test_what_a_path_must_be(tmp_path):
         "folder.ply": "this is a folder",
         "missing.ply": "there is no such file",
         "empty.ply": "the file is empty",
-        "mesh.step": r"cannot read the format '.step'; .*; known are .glb, .gltf, .npy, .npz, .obj",
+        "mesh.step": r"cannot read the format '.step'; .*; known are .asc, .csv, .gii, .glb",
         "mesh": "cannot read the format ''",
         "cloud.ply": "points without faces, expected a mesh",
     }.items():

@@ -40,6 +40,16 @@ def format_of(path: Path) -> str:
     return inner.suffix.lower()
 
 
+def beginning(path: Path, size: int) -> bytes:
+    """Return the first bytes of a file, or of what it packs; nothing where they cannot be read."""
+    _, opened = PACKED.get(path.suffix.lower(), (b"", open))
+    try:
+        with opened(path, "rb") as file:
+            return bytes(file.read(size))
+    except (OSError, EOFError, zlib.error, lzma.LZMAError):
+        return b""
+
+
 @contextmanager
 def unpacked(path: Path) -> Iterator[Path]:
     """Give the path of the file itself, or of what it packs, unpacked for as long as this lasts."""

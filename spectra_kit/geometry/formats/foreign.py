@@ -1,44 +1,53 @@
-"""What is to be done with files of formats that are not read here: who reads them, and what then.
+"""Formats that other libraries read: what is taken of them, and what is left to who has them.
 
 Each call gives a thing that `as_geometry` takes; none of these libraries is needed by this one.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from spectra_kit.errors import InvalidInputError, SpectraKitError
+from spectra_kit.geometry.formats._arrays import BROKEN, Arrays
 from spectra_kit.geometry.formats._room import PACKED, format_of
+from spectra_kit.geometry.toolkits import arrays_of
+
+# What parsers in Python raise of damaged files, beside what NumPy does.
+_BROKEN = (*BROKEN, ArithmeticError, AssertionError, AttributeError, StopIteration)
 
 _CALLS = {
-    "pyvista.read(path)": ".vtp",
-    "pyvista.read(path).extract_surface()": ".vtk .vtu .vts .vtr",
+    "pyvista.read(path).extract_surface()": ".vts .vtr",
     "pyvista.read(path).combine().extract_surface()": ".vtm .vtmb .case .foam",
-    "meshio.read(path)": ".msh .mesh .meshb .inp .med .xdmf .bdf .nas .fem .avs .su2 .f3grid .node",
+    "meshio.read(path)": ".meshb .bdf .nas .fem .avs .su2 .med .xdmf .f3grid .node",
     "trimesh.load_scene(path).to_mesh()": ".3mf .dae .zae .3dxml .xaml",
-    "nibabel.load(path)": ".gii",
-    "nibabel.freesurfer.read_geometry(path)": (
-        ".pial .white .inflated .sphere .reg .orig .nofix .smoothwm .midthickness .graymid"
-    ),
-    "open3d.io.read_point_cloud(path)": ".pcd .pts",
     "laspy.read(path).xyz": ".las .laz",
-    "numpy.loadtxt(path, delimiter=',', skiprows=1)[:, :3]": ".csv",
 }
 _WORDS = {
     "hand over its arrays: m = scipy.io.loadmat(path), (m['VERT'], m['TRIV'] - 1) or as they are"
     " called; MATLAB counts from 1": ".mat",
-    "if each line holds a point, rename it to .xyz": ".txt .asc .dat .tsv .xyzn .xyzrgb",
+    "if each line holds a point, rename it to .xyz": ".dat .tsv .xyzn .xyzrgb",
     "Blender or MeshLab exports what it holds as .ply or .glb": (
         ".fbx .blend .usd .usda .usdc .usdz .abc .3ds .lwo .x3d .wrl .ctm .dxf"
     ),
     "it holds curved surfaces, of which gmsh makes triangles: gmsh -2 FILE -o mesh.stl": (
         ".step .stp .iges .igs .brep"
     ),
-    "it holds an image; hand over what skimage.measure.marching_cubes(image, level) returns": (
+    "it holds an image; if of labels, geometry.from_labels(image) makes a surface of each": (
         ".nii .mgz .mgh .nrrd .tif .tiff .dcm .mha .mhd .vti"
+    ),
+    "it holds values at the vertices of a surface: geometry.read_overlay(path)": (
+        ".annot .curv .sulc .thickness .area"
     ),
     "unpack it first": ".zip .tar .tgz .7z .rar .zst",
 }
-_ANYTHING = ".csv .mat .txt .asc .dat .tsv .tif .tiff .zip .tar .tgz .7z .rar .zst"
+_ANYTHING = (
+    ".annot .area .curv .sulc .thickness .mat .dat .tsv .tif .tiff .zip .tar .tgz .7z .rar .zst"
+)
 
 
 def is_foreign(path: Path) -> bool:
@@ -64,3 +73,35 @@ def advice_for(path: Path) -> str:
         if suffix in formats.split():
             return words
     return "what meshio, PyVista or trimesh read is taken as it is: hand over meshio.read(path)"
+
+
+@contextmanager
+def read_by(library: str, *errors: type[Exception]) -> Iterator[None]:
+    """Tell what a library says of a file that it cannot take apart; `errors` are its own."""
+    try:
+        yield
+    except SpectraKitError:
+        raise
+    except _BROKEN + errors as error:
+        told = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InvalidInputError(
+            f"{library} cannot read it ({told})", advice="the file may be cut short or damaged"
+        ) from error
+
+
+def held_by(thing: Any, call: str, *, is_bare: bool = False) -> Arrays:
+    """Return what an object holds that `call` has read of a file; no cells at all are doubtful."""
+    try:
+        points, faces = arrays_of(thing) or (np.empty((0, 3)), None)
+        if is_bare:
+            problem = "holds points, and no cells; it may be cut short"
+            faces = InvalidInputError(problem, advice="use {}", remedies=('kind="cloud"',))
+        return points, faces  # noqa: TRY300
+    except InvalidInputError as error:
+        if not error.expected:
+            raise
+        name = type(thing).__name__
+        raise InvalidInputError(
+            f"is no surface or cloud, but a {name}",
+            advice=f"of what {call} returns, {error.advice}",
+        ) from error

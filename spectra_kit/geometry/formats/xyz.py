@@ -1,4 +1,4 @@
-"""XYZ: one point on each line, columns parted by blanks, commas or semicolons."""
+"""XYZ and other tables: one point on each line, columns parted by blanks, commas or semicolons."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from spectra_kit.geometry.formats._text import (
 from spectra_kit.geometry.shapes import PointCloud
 
 Rows = list[tuple[int, str]]  # (line number, line)
+_PARAVIEW = {f"points{mark}{i}": axis for i, axis in enumerate("xyz") for mark in ":_"}
 
 
 def read(path: Path) -> Arrays:
@@ -25,9 +26,26 @@ def read(path: Path) -> Arrays:
 
     Every line must have the same number of columns; a count may stand in front.
     """
-    text = text_of(path.read_bytes())
+    return points_of(_with_heading(text_of(path.read_bytes()))), None
+
+
+def points_of(text: bytes) -> Floats | list[list[float]]:
+    """Return the points of a text."""
     found = at_once(text)
-    return line_by_line(text) if found is None else found, None
+    return line_by_line(text) if found is None else found
+
+
+def _with_heading(text: bytes) -> bytes:
+    """Return a text whose first comment names the columns, as NumPy writes it, without its mark."""
+    start = re.match(rb"\s*(?:#|//)[ \t]*([^\n]*)\n([^\n]*)", text)
+    if not start:
+        return text
+    heading, row = start[1].decode(errors="replace"), start[2].decode(errors="replace")
+    names, _ = _names([(1, heading)])
+    mark = next((mark for mark in ";," if mark in row), None)
+    if not names or names[:3] == ["x", "y", "z"] or len(names) != len(_columns(row, mark)):
+        return text
+    return text[start.start(1) :]
 
 
 def at_once(text: bytes) -> Floats | None:
@@ -73,8 +91,14 @@ def line_by_line(text: bytes) -> list[list[float]]:
 
 
 def _names(rows: Rows) -> tuple[list[str], Rows]:
-    """Return what a first line without numbers calls the columns, and the other lines."""
-    names = re.sub(r"[;,\"']", " ", rows[0][1]).lower().split() if rows else []
+    """Return what a first line without numbers calls the columns, and the other lines.
+
+    Units in brackets and quotes are no part of a name; a column of row numbers may have none.
+    """
+    line = re.sub(r"[\[(][^\])]*[\])]|[\"']", "", rows[0][1].lower()).strip() if rows else ""
+    mark = next((mark for mark in ";," if mark in line), None)
+    cells = (line.removesuffix(mark) if mark else line).split(mark)
+    names = [_PARAVIEW.get(name.strip(), name.strip()) for name in cells]
     if not {"x", "y", "z"} <= {*names} or any(map(_is_number, names)):
         return [], rows
     return names, rows[1:]

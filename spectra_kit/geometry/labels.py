@@ -1,0 +1,191 @@
+"""From images whose voxels are labelled, as segmentations are, to surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._core.checked import checked
+from spectra_kit._core.records import Rebuilt
+from spectra_kit._core.types import Floats
+from spectra_kit._core.validate import as_array, check_positive, real_array
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.shapes import TriangleMesh
+
+_BACKGROUND = 0
+_STEPS, _PASS = 30, 0.07  # of Taubin's filter: fewer leave stairs of voxels, more take small parts
+_LOST = 0.1  # of its volume, at most, is what smoothing may take from a label
+
+
+@checked
+@dataclass(frozen=True, eq=False)
+class LabelSurface(Rebuilt):
+    """The surface of one label of an image.
+
+    Parameters
+    ----------
+    label : int
+        As in the image.
+    geometry : TriangleMesh
+        Its surface, closed and facing outwards, in the unit of the spacing; all parts of it.
+    volume : float
+        Of its voxels, in length^3: the surface encloses about as much.
+    area : float
+        Of the surface, in length^2.
+    is_smooth : bool
+        Whether it was smoothed; a label of a few voxels, which would vanish, keeps its stairs, and
+        half as much area again as what they stand for.
+    """
+
+    label: int
+    geometry: TriangleMesh
+    volume: float
+    area: float
+    is_smooth: bool
+
+
+@checked
+def from_labels(
+    image: Any,
+    *,
+    spacing: float | Sequence[float] | None = None,
+    labels: Sequence[int] | None = None,
+) -> list[LabelSurface]:
+    """Make a surface of each label of an image: of each cell, organ or grain.
+
+    Parameters
+    ----------
+    image : array_like of shape (a, b, c), or image of nibabel
+        Integers, or whether a voxel belongs to the only label; 0 is the background. The centre of
+        voxel (0, 0, 0) is the origin; images of nibabel say by their `affine` where it lies.
+    spacing : float or three floats, optional
+        Distance of neighbouring voxels, along each axis if they differ; by default 1. Images of
+        nibabel have their own.
+    labels : sequence of int, optional
+        Which to take, by default all; the others are background then.
+
+    Returns
+    -------
+    list of LabelSurface
+        In the order of the labels.
+
+    Notes
+    -----
+    Surface nets [1]_, one for the whole image, so that labels that touch share their border, are
+    smoothed by Taubin's filter [2]_, which keeps volumes. Where a label meets the border of the
+    image it is closed there. Edges are rounded by about a voxel. Of balls from 3 voxels in radius
+    on, areas are right within 3 %, from 6 on within 1 %, and what the surface encloses within 1 %.
+
+    References
+    ----------
+    .. [1] Sarah Frisken, "SurfaceNets for Multi-Label Segmentations with Preservation of Sharp
+       Boundaries", Journal of Computer Graphics Techniques, 2022.
+    .. [2] Gabriel Taubin, "A Signal Processing Approach to Fair Surface Design", SIGGRAPH, 1995.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from spectra_kit.geometry import from_labels
+    >>> x, y, z = np.mgrid[:20, :20, :20] - 9.5
+    >>> cells = np.where(x**2 + y**2 + z**2 < 64, np.where(x > 0, 2, 1), 0)
+    >>> [(cell.label, round(cell.volume)) for cell in from_labels(cells, spacing=0.5)]
+    [(1, 136), (2, 136)]
+    """
+    voxels, affine = _voxels(image, spacing)
+    held = np.unique(voxels)
+    held = held[held != _BACKGROUND]
+    if labels is not None:
+        if missing := [label for label in labels if label not in held]:
+            raise InvalidInputError("labels", "be in the image, and not 0", missing[0])
+        held = np.unique(labels)
+    if not len(held):
+        raise InvalidInputError("image", "hold a label", "nothing but 0, the background")
+    place = np.minimum(np.searchsorted(held, voxels), len(held) - 1)
+    number = np.where(held[place] == voxels, place + 1, _BACKGROUND).astype(np.int32)
+    where = np.nonzero(number)
+    corner = np.array([axis.min() for axis in where])
+    box = tuple(slice(axis.min(), axis.max() + 1) for axis in where)
+    stairs, smooth, faces, sides = _nets(number[box])
+    scale = float(np.linalg.det(affine[:3, :3]))
+    counts = np.bincount(number[box].ravel(), minlength=len(held) + 1)
+    found = []
+    for i, label in enumerate(held.tolist(), start=1):
+        is_side = (sides == i).any(axis=1)
+        # A face looks away from the first of its two labels; a mirroring turns them all.
+        is_turned = (sides[is_side, 0] != i)[:, None]
+        own = np.where(is_turned, faces[is_side][:, ::-1], faces[is_side])
+        used, own = np.unique(own, return_inverse=True)
+        is_smooth = abs(_enclosed(smooth[used], own) - counts[i]) <= _LOST * counts[i]
+        points = (smooth if is_smooth else stairs)[used] + corner
+        mesh = TriangleMesh(
+            points @ affine[:3, :3].T + affine[:3, 3], own if scale > 0 else own[:, ::-1]
+        )
+        volume = float(counts[i]) * abs(scale)
+        found.append(LabelSurface(int(label), mesh, volume, mesh.area, bool(is_smooth)))
+    return found
+
+
+def _enclosed(points: Floats, faces: NDArray[Any]) -> float:
+    return float(np.linalg.det((points - points[0])[faces]).sum() / 6)
+
+
+def _voxels(image: Any, spacing: Any) -> tuple[NDArray[Any], Floats]:
+    """Return the labels, and the affine map (4, 4) of their indices to places."""
+    if is_image := hasattr(image, "affine") and hasattr(image, "dataobj"):
+        voxels, affine = np.asanyarray(image.dataobj), real_array("image.affine", image.affine)
+        if spacing is not None:
+            raise InvalidInputError("spacing", "be left out: the image has an affine map")
+        if not np.linalg.det(affine[:3, :3]):
+            raise InvalidInputError("image.affine", "keep volumes apart from 0")
+    else:
+        voxels = as_array("image", image)
+        steps = np.atleast_1d(np.asarray(1.0 if spacing is None else spacing, dtype=object))
+        if steps.shape not in ((1,), (3,)):
+            raise InvalidInputError("spacing", "be a number, or three", spacing)
+        for step in steps:
+            check_positive("spacing", step)
+        affine = np.diag([*np.broadcast_to(steps.astype(float), 3), 1.0])
+    if voxels.ndim != 3 or not voxels.size:
+        raise InvalidInputError(
+            "image",
+            "have three axes, and voxels along each",
+            f"shape {voxels.shape}",
+            advice="of a series, give each image by itself",
+        )
+    if voxels.dtype.kind not in "iub":
+        whole = "if its numbers are whole, {} are integers"
+        image = "nibabel.Nifti1Image(image.get_fdata().astype('i4'), image.affine)"
+        raise InvalidInputError(
+            "image",
+            "hold integers, which tell labels apart",
+            f"dtype {voxels.dtype}",
+            advice=whole + "; of grey values, a comparison such as image > level makes a label",
+            remedies=(image if is_image else "image.astype(int)",),
+        )
+    return voxels, affine
+
+
+def _nets(number: NDArray[np.int32]) -> tuple[Floats, Floats, NDArray[Any], NDArray[Any]]:
+    """Return points before and after smoothing, faces, and the two labels (f, 2) that each parts.
+
+    Points are in indices of voxels.
+    """
+    import pyvista  # which is slow to import
+
+    padded = np.pad(number, 1)  # so that all is closed; PyVista pads no single layer
+    grid = pyvista.ImageData(dimensions=padded.shape, origin=(-1, -1, -1))
+    grid["label"] = padded.ravel(order="F")
+    net: Any = grid.contour_labels(
+        "all", smoothing=False, pad_background=False, output_mesh_type="triangles"
+    )
+    sides = np.asarray(net.cell_data["boundary_labels"])
+    faces = np.asarray(net.regular_faces)
+    smooth = net.smooth_taubin(
+        n_iter=_STEPS, pass_band=_PASS, boundary_smoothing=True, non_manifold_smoothing=True
+    )
+    stairs, points = (np.asarray(one.points, dtype=np.float64) for one in (net, smooth))
+    return stairs, points, faces, sides
