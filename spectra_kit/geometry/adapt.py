@@ -16,6 +16,7 @@ from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry.io import read
 from spectra_kit.geometry.polygons import Polygons, surface
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry.tetrahedra import TetrahedralMesh
 
 _OTHERS = (
     "a path, a mesh or cloud of trimesh, PyVista or meshio, (vertices, faces), or points of shape"
@@ -94,7 +95,8 @@ def adapted(thing: Any) -> Geometry:
         isinstance(thing, Sequence) or hasattr(thing, "__array__")
     ):
         return PointCloud(thing)
-    raise _refused(thing, _OTHERS)
+    is_volume = isinstance(thing, TetrahedralMesh)
+    raise _refused(thing, "its surface is mesh.surface.mesh" if is_volume else _OTHERS)
 
 
 def _of_trimesh(thing: Any) -> Geometry:
