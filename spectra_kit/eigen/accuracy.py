@@ -242,7 +242,7 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
     n, k = laplacian.n, len(values)
     counts = min(k, _WORK // n)
     if n > _FEW:
-        if not is_hard(laplacian) or factor_gigabytes(n) > _GIGABYTES:
+        if not is_hard(laplacian) or factor_gigabytes(n, laplacian.dimension) > _GIGABYTES:
             return errors
         counts = max(counts, 2)
     off = laplacian._rounding

@@ -115,9 +115,12 @@ class Automatic:
         """See `Eigensolver`; what was chosen may promise more."""
         return "exact" if self.accuracy is None else "approximate"
 
-    def choose(self, n: int, k: int) -> tuple[Eigensolver, str]:
-        """Return what begins to solve for k modes on the n points of a component, and why."""
-        needed = Lanczos.memory(n, k)
+    def choose(self, n: int, k: int, dimension: int = 2) -> tuple[Eigensolver, str]:
+        """Return what begins to solve for k modes on the n points of a component, and why.
+
+        The points of a volume, of dimension 3, take larger factors.
+        """
+        needed = Lanczos.memory(n, k, dimension)
         fits = needed <= self.memory
         few = max(_FEW, _FEW_FOR_EACH * k)
         exact = cheapest(n, k, seed=self.seed)
@@ -125,7 +128,7 @@ class Automatic:
         rough = self.accuracy is not None and self.accuracy >= _TIGHT
         if rough and isinstance(exact, Lanczos):
             loose = replace(exact, tol=_RESIDUAL)
-            few *= _LOOSELY if self.device == "cpu" else 1
+            few *= _LOOSELY if self.device == "cpu" and dimension == 2 else 1
         if fits and n <= few:
             what = "an exact solution" if loose is exact else "Lanczos"
             return loose, f"{what} is quickest for {quantity(k, 'mode')} of {n} points"
@@ -146,7 +149,7 @@ class Automatic:
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
-        solver, reason = self.choose(laplacian.n, k)
+        solver, reason = self.choose(laplacian.n, k, laplacian.dimension)
         if isinstance(solver, Arpack | Lanczos):
             return or_densely(solver, laplacian, k, reason)
         found = Eigenpairs(*solver.eigenpairs(laplacian, k))

@@ -111,6 +111,23 @@ class NotConvergedError(Exception):
         self.pairs, self.converged, self.advised = pairs, converged, advised
 
 
+def check_dimension_of(part: object, laplacian: Laplacian) -> None:
+    """Refuse a solver or subspace on a volume where it, or what it holds, knows no volumes."""
+    if laplacian.dimension == 2:
+        return
+    if getattr(part, "of_surfaces", False):
+        raise InvalidInputError(
+            type(part).__name__,
+            "be given surfaces, which the network has learned",
+            "a volume",
+            advice="use Automatic(accuracy=1e-3) or Cascade()",
+        )
+    for held in (getattr(part, name, None) for name in ("subspace", "start", "parts")):
+        for one in held if isinstance(held, tuple) else (held,):
+            if one is not None:
+                check_dimension_of(one, laplacian)
+
+
 def set_device(solver: Any) -> None:
     """Let the device of a frozen solver be a name, of one that torch can use here."""
     object.__setattr__(solver, "device", str(solver.device))

@@ -221,15 +221,16 @@ class Lanczos(_ShiftInvert):
         self._check(self.seed)
 
     @staticmethod
-    def memory(n: int, k: int) -> float:
+    def memory(n: int, k: int, dimension: int = 2) -> float:
         """Estimate the memory, in GiB, that k modes on n points of one component take; or `Arpack`.
 
         Factor, vectors and modes together, the operator not. For components one after the other it
-        is the largest of theirs, and 8 bytes for each number of the modes of the others.
+        is the largest of theirs, and 8 bytes for each number of the modes of the others. Factors
+        in a volume, whose `dimension` is 3, are much larger.
         """
         if _DENSE_RATIO * k >= n:
             return 3 * 8 * n**2 / 2**30  # the matrix, its copy in LAPACK, eigenvectors
-        return factor_gigabytes(n) + 8 * n * vectors_held(k) / 2**30
+        return factor_gigabytes(n, dimension) + 8 * n * vectors_held(k) / 2**30
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
@@ -248,6 +249,7 @@ class Lanczos(_ShiftInvert):
             most_shifts=self.max_shifts,
             seed=self.seed,
             elimination=elimination,
+            power=2 / laplacian.dimension,
         )
         seconds = Counter(clock.seconds)
         if self.tol > _CLOSE:

@@ -82,6 +82,7 @@ class Neo(Rebuilt):
     """
 
     promise: ClassVar[Promise] = "approximate"
+    of_surfaces: ClassVar[bool] = True
     weights: str | os.PathLike[str] = "small"
     poses: Literal[1, 2, 4] = 1
     device: str | torch.device = "cpu"

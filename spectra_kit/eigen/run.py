@@ -316,7 +316,7 @@ class _Run:
                 k = wanted[i]
                 told: dict[str, Any] = {"errors": np.zeros(1)} if n == 1 else {}
                 if isinstance(solver, Automatic):
-                    chosen, reason = solver.choose(n, k)
+                    chosen, reason = solver.choose(n, k, laplacian.dimension)
                     if promise_of(chosen) != "exact":
                         continue
                     told = told or {"solver": Dense(), "reason": reason}

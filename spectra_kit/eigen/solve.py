@@ -17,7 +17,7 @@ from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count
 from spectra_kit.eigen.accuracy import warn_of_doubts
 from spectra_kit.eigen.automatic import Automatic
-from spectra_kit.eigen.base import Eigenpairs, Eigensolver
+from spectra_kit.eigen.base import Eigenpairs, Eigensolver, check_dimension_of
 from spectra_kit.eigen.run import is_whole, promise_of, solve
 from spectra_kit.eigen.spectrum import Spectrum
 from spectra_kit.errors import InvalidInputError, SpectraKitError
@@ -129,6 +129,7 @@ def eigensolve(
     """
     laplacian = _of_matrices(laplacian, mass, solver)
     check_modes(laplacian, k)
+    check_dimension_of(solver, laplacian)
     spectrum = solve(laplacian, k, solver)
     warn_of_doubts(spectrum, solver)
     return spectrum
@@ -221,6 +222,7 @@ def eigensolve_many(
     for i, laplacian in enumerate(laplacians):
         with about(_name(i)):
             check_modes(laplacian, k)
+            check_dimension_of(solver, laplacian)
 
     def one(i: int, begun: Callable[[], Eigenpairs] | None = None) -> Spectrum:
         with about(_name(i)):

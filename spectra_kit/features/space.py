@@ -10,6 +10,7 @@ import numpy as np
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count
+from spectra_kit.eigen.base import check_dimension_of
 from spectra_kit.eigen.subspaces import Frame, Subspace, canonical_frame
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.features._spectra import Change
@@ -45,6 +46,7 @@ class _OfSpace(Pooled):
         """Return (n, c)."""
         import torch
 
+        check_dimension_of(self, surface.laplacian)
         points = torch.tensor(surface.laplacian.points)[None]
         with torch.no_grad():
             values = _embedded(points, torch.tensor(surface.mass)[None], self)

@@ -15,6 +15,7 @@ from spectra_kit.errors import IgnoredContentWarning
 from spectra_kit.geometry.io import read
 from spectra_kit.geometry.polygons import Polygons, surface
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry.tetrahedra import TetrahedralMesh
 from spectra_kit.geometry.toolkits import arrays_of, refused, spatial
 
 _OTHERS = (
@@ -90,7 +91,8 @@ def adapted(thing: Any) -> Geometry:
         isinstance(thing, Sequence) or hasattr(thing, "__array__")
     ):
         return PointCloud(thing)
-    raise refused(thing, _OTHERS)
+    is_volume = isinstance(thing, TetrahedralMesh)
+    raise refused(thing, "its surface is mesh.surface.mesh" if is_volume else _OTHERS)
 
 
 def _of_table(points: Any, faces: Any) -> TriangleMesh:

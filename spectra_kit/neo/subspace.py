@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import torch
@@ -60,6 +60,7 @@ class NeoSubspace(Rebuilt):
     (500, 513)
     """
 
+    of_surfaces: ClassVar[bool] = True
     network: str | os.PathLike[str] | NeoNetwork = "small"
     poses: Literal[1, 2, 4] = 1
     dtype: Literal["float32", "bfloat16", "float16"] = "float32"

@@ -9,6 +9,7 @@ from spectra_kit.show.animation import animate_modes
 from spectra_kit.show.camera import View
 from spectra_kit.show.convergence import SolverRun, plot_convergence
 from spectra_kit.show.curves import plot_curves, plot_vectors
+from spectra_kit.show.cut import cut_open
 from spectra_kit.show.fields import Panel, plot_fields, plot_panels
 from spectra_kit.show.isolines import plot_distance
 from spectra_kit.show.layout import Page
@@ -34,6 +35,7 @@ __all__ = [
     "Thumbnail",
     "View",
     "animate_modes",
+    "cut_open",
     "plot_comparison",
     "plot_convergence",
     "plot_correspondence",

@@ -135,7 +135,9 @@ def nested(laplacian: Laplacian, coarsest: int) -> list[Coarse]:
         count = math.ceil(math.log(laplacian.n / coarsest) / math.log(_RATIO))
         for i in range(1, count + 1):
             size = round(laplacian.n * (coarsest / laplacian.n) ** (i / count))
-            levels.append(coarsen(levels[-1] if levels else laplacian, size))
+            finer = levels[-1] if levels else laplacian
+            if finer.n > size:  # in a regular grid a level may have far fewer points than asked for
+                levels.append(coarsen(finer, size))
     return levels
 
 

@@ -74,8 +74,9 @@ def well_spread(operator: Laplacian | Coarse, n_points: int) -> Subset:
     check_count("n_points", n_points, low=1, high=operator.n)
     graph, points = operator.stiffness, frozen(operator.points)
     starts, neighbours, _ = rows_of(graph)
-    grain = _GRAINY * np.sqrt(n_points / operator.n)
-    radius = (_PACKED - grain) * np.sqrt(operator.area / n_points)
+    power = 1 / operator.dimension
+    grain = _GRAINY * (n_points / operator.n) ** power
+    radius = (_PACKED - grain) * (operator.area / n_points) ** power
     low, high = 0.0, np.inf  # radii known to give too many and too few
     best: Subset | None = None
     for _ in range(_ROUNDS):
@@ -89,7 +90,7 @@ def well_spread(operator: Laplacian | Coarse, n_points: int) -> Subset:
                 best = Subset(np.sort(indices).astype(np.int64), float(radius))
             if count >= _FEWEST * n_points:
                 break
-        guess = radius * np.sqrt(count / (0.5 * (1 + _FEWEST) * n_points))
+        guess = radius * (count / (0.5 * (1 + _FEWEST) * n_points)) ** power
         inside = low < guess < high
         radius = guess if inside or high == np.inf else 0.5 * (low + high)
     if best is None and n_points < (parts := connected_components(graph, directed=False)[0]):
@@ -134,7 +135,7 @@ def prolongation(operator: Laplacian | Coarse, subset: Subset) -> sparse.csr_arr
     the subset's points within 2.5 radii that the graph connects inside that ball. It
     approximates rather than interpolates: the smoother weights leave a Galerkin operator less
     than half the error in the eigenvalues, at the same number of points, that interpolating ones
-    leave.
+    leave. In volumes, too, weights that are linear along all three axes leave more.
 
     Examples
     --------
@@ -202,6 +203,8 @@ class Coarse(Brief):
         That of the `Laplacian` at the finest level.
     kernel_dimension : int
         That of the `Laplacian` too: constants are carried to constants.
+    dimension : int
+        2, or 3 in a volume.
     """
 
     subset: Subset
@@ -212,6 +215,7 @@ class Coarse(Brief):
     lumped: Floats
     eigenvalue_spacing: float
     kernel_dimension: int
+    dimension: int = 2
 
     @property
     def n(self) -> int:
@@ -220,7 +224,7 @@ class Coarse(Brief):
 
     @property
     def area(self) -> float:
-        """Total mass, in length^2."""
+        """Total mass, in length^2; of a volume, in length^3."""
         return float(self.lumped.sum())
 
 
@@ -273,6 +277,7 @@ def coarsen(operator: Laplacian | Coarse, n_points: int) -> Coarse:
         share * (operator.area / share.sum()),
         operator.eigenvalue_spacing,
         operator.kernel_dimension,
+        operator.dimension,
     )
 
 

@@ -1,0 +1,62 @@
+"""A volume cut open, to see functions inside it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from spectra_kit._core.checked import checked
+from spectra_kit._core.types import Floats
+from spectra_kit._core.validate import real_array
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.shapes import TriangleMesh, box_unit
+from spectra_kit.geometry.tetrahedra import TetrahedralMesh
+
+
+@checked
+def cut_open(
+    mesh: TetrahedralMesh, values: ArrayLike, *, normal: ArrayLike = (1.0, 0.0, 0.0)
+) -> tuple[TriangleMesh, Floats]:
+    """Cut a volume by a plane through its middle, and return the surface of what lies behind.
+
+    Parameters
+    ----------
+    mesh : TetrahedralMesh
+        With n vertices.
+    values : array_like of shape (n,) or (n, c)
+        Functions, such as ``spectrum.eigenvectors``.
+    normal : array_like of shape (3,), default (1, 0, 0)
+        Of the plane, towards what is taken away.
+
+    Returns
+    -------
+    surface : TriangleMesh
+        With the section, for `plot_fields`.
+    values : ndarray of shape (its n,) or (its n, c)
+        There, linear inside each cell.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    >>> surface, x = sk.show.cut_open((corners, [[0, 1, 2, 3]]), [0.0, 1.0, 0.0, 0.0])
+    >>> round(float(x.max()), 3)
+    0.5
+    """
+    import pyvista as pv  # slow to import
+
+    functions, towards = real_array("values", values), real_array("normal", normal)
+    if len(functions) != mesh.n or functions.ndim not in (1, 2):
+        raise InvalidInputError(
+            "values", f"have shape ({mesh.n},) or ({mesh.n}, c)", functions.shape
+        )
+    if towards.shape != (3,) or not towards.any():
+        raise InvalidInputError("normal", "be a vector of three numbers, not all zero", normal)
+    unit = box_unit(mesh.points)
+    middle = mesh.points.min(axis=0) / 2 + mesh.points.max(axis=0) / 2
+    grid = pv.UnstructuredGrid({pv.CellType.TETRA: mesh.cells}, (mesh.points - middle) / unit)
+    grid.point_data["values"] = functions
+    half = grid.clip(normal=towards / np.abs(towards).max(), origin=(0, 0, 0)).triangulate()
+    points = np.asarray(half.points, dtype=np.float64) * unit + middle
+    surface = TetrahedralMesh(points, half.cells_dict[pv.CellType.TETRA]).surface
+    return surface.mesh, np.asarray(half.point_data["values"])[surface.vertex_index]
