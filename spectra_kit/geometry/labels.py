@@ -14,7 +14,7 @@ from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import as_array, check_positive, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import TriangleMesh
+from spectra_kit.geometry.shapes import TriangleMesh, distinct_rows
 
 _BACKGROUND = 0
 _STEPS, _PASS = 30, 0.07  # of Taubin's filter: fewer leave stairs of voxels, more take small parts
@@ -183,9 +183,10 @@ def _nets(number: NDArray[np.int32]) -> tuple[Floats, Floats, NDArray[Any], NDAr
         "all", smoothing=False, pad_background=False, output_mesh_type="triangles"
     )
     sides = np.asarray(net.cell_data["boundary_labels"])
-    faces = np.asarray(net.regular_faces)
-    smooth = net.smooth_taubin(
+    # VTK repeats points where voxels touch at an edge, and tears some of these open.
+    first, label = distinct_rows(np.asarray(net.points, dtype=np.float64))
+    stairs, faces = np.asarray(net.points, dtype=np.float64)[first], label[net.regular_faces]
+    smooth = pyvista.PolyData.from_regular_faces(stairs, faces).smooth_taubin(
         n_iter=_STEPS, pass_band=_PASS, boundary_smoothing=True, non_manifold_smoothing=True
     )
-    stairs, points = (np.asarray(one.points, dtype=np.float64) for one in (net, smooth))
-    return stairs, points, faces, sides
+    return stairs, np.asarray(smooth.points, dtype=np.float64), faces, sides
