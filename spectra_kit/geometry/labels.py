@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats
-from spectra_kit._core.validate import as_array, check_positive, real_array
+from spectra_kit._core.validate import as_array, positive_array, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import TriangleMesh, distinct_rows
 
@@ -143,12 +143,10 @@ def _voxels(image: Any, spacing: Any) -> tuple[NDArray[Any], Floats]:
             raise InvalidInputError("image.affine", "keep volumes apart from 0")
     else:
         voxels = as_array("image", image)
-        steps = np.atleast_1d(np.asarray(1.0 if spacing is None else spacing, dtype=object))
-        if steps.shape not in ((1,), (3,)):
-            raise InvalidInputError("spacing", "be a number, or three", spacing)
-        for step in steps:
-            check_positive("spacing", step)
-        affine = np.diag([*np.broadcast_to(steps.astype(float), 3), 1.0])
+        steps = positive_array("spacing", 1.0 if spacing is None else spacing, advice="")
+        if steps.shape not in ((), (3,)):
+            raise InvalidInputError("spacing", "be a number, or three", f"shape {steps.shape}")
+        affine = np.diag([*np.broadcast_to(steps, 3), 1.0])
     if voxels.ndim != 3 or not voxels.size:
         raise InvalidInputError(
             "image",
@@ -157,14 +155,15 @@ def _voxels(image: Any, spacing: Any) -> tuple[NDArray[Any], Floats]:
             advice="of a series, give each image by itself",
         )
     if voxels.dtype.kind not in "iub":
-        whole = "if its numbers are whole, {} are integers"
-        image = "nibabel.Nifti1Image(image.get_fdata().astype('i4'), image.affine)"
+        whole = "image.astype(int)"
+        if is_image:
+            whole = "nibabel.Nifti1Image(image.get_fdata().astype('i4'), image.affine)"
         raise InvalidInputError(
             "image",
             "hold integers, which tell labels apart",
             f"dtype {voxels.dtype}",
-            advice=whole + "; of grey values, a comparison such as image > level makes a label",
-            remedies=(image if is_image else "image.astype(int)",),
+            advice=f"if its numbers are whole, {whole} has integers; of grey values, a comparison"
+            " such as image > level makes a label",
         )
     return voxels, affine
 

@@ -113,7 +113,9 @@ def test_images_of_nibabel(mirror):
     with pytest.raises(InvalidInputError, match="`spacing` must be left out"):
         from_labels(image, spacing=2)
     grey = nibabel.Nifti1Image(ball(6).astype("f4"), affine)
-    with pytest.raises(InvalidInputError, match=r"hold integers.* (nibabel\.Nifti1Image.*) are"):
+    with pytest.raises(
+        InvalidInputError, match=r"hold integers.* nibabel\.Nifti1Image.* has integers"
+    ):
         from_labels(grey)
     again = nibabel.Nifti1Image(grey.get_fdata().astype("i4"), grey.affine)  # as it advises
     np.testing.assert_array_equal(from_labels(again)[0].geometry.points, found.geometry.points)
@@ -155,7 +157,7 @@ HOLES = np.where(ball(3), 1.0, np.nan)
         (np.empty((0, 3, 3), int), {}, "voxels along each"),
         (ball(3), {"spacing": 0}, "`spacing` must be positive"),
         (ball(3), {"spacing": (1, 2)}, "`spacing` must be a number, or three"),
-        (ball(3), {"spacing": (1, np.nan, 1)}, "`spacing` must be positive and finite"),
+        (ball(3), {"spacing": (1, np.nan, 1)}, "`spacing` must be finite"),
         (ball(3), {"labels": [2]}, "be in the image, and not 0, got 2"),
         (ball(3), {"labels": [0]}, "be in the image, and not 0, got 0"),
     ],
