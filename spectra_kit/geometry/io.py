@@ -156,8 +156,8 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
 
     Whatever a file says twice is compared: counts with lengths, the checksums of npz, the columns
     of each line. What no format says twice cannot be: a digit of a coordinate outside npz, a text
-    file cut inside its very last number, an OBJ or XYZ file cut between two lines. glTF is read
-    without its skins and morph targets, and refused where it requires an extension, such as
+    file cut inside its very last number, one of OBJ, XYZ or Abaqus cut between two lines. glTF is
+    read without its skins and morph targets, and refused where it requires an extension, such as
     compression, that is not known here. Cells that fill a volume are passed over beside faces, and
     refused alone: the advice makes a surface of them.
 

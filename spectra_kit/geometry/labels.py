@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats
-from spectra_kit._core.validate import as_array, check_positive, real_array
+from spectra_kit._core.validate import as_array, positive_array, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import TriangleMesh
+from spectra_kit.geometry.shapes import TriangleMesh, distinct_rows
 
 _BACKGROUND = 0
 _STEPS, _PASS = 30, 0.07  # of Taubin's filter: fewer leave stairs of voxels, more take small parts
@@ -143,12 +143,10 @@ def _voxels(image: Any, spacing: Any) -> tuple[NDArray[Any], Floats]:
             raise InvalidInputError("image.affine", "keep volumes apart from 0")
     else:
         voxels = as_array("image", image)
-        steps = np.atleast_1d(np.asarray(1.0 if spacing is None else spacing, dtype=object))
-        if steps.shape not in ((1,), (3,)):
-            raise InvalidInputError("spacing", "be a number, or three", spacing)
-        for step in steps:
-            check_positive("spacing", step)
-        affine = np.diag([*np.broadcast_to(steps.astype(float), 3), 1.0])
+        steps = positive_array("spacing", 1.0 if spacing is None else spacing, advice="")
+        if steps.shape not in ((), (3,)):
+            raise InvalidInputError("spacing", "be a number, or three", f"shape {steps.shape}")
+        affine = np.diag([*np.broadcast_to(steps, 3), 1.0])
     if voxels.ndim != 3 or not voxels.size:
         raise InvalidInputError(
             "image",
@@ -157,14 +155,15 @@ def _voxels(image: Any, spacing: Any) -> tuple[NDArray[Any], Floats]:
             advice="of a series, give each image by itself",
         )
     if voxels.dtype.kind not in "iub":
-        whole = "if its numbers are whole, {} are integers"
-        image = "nibabel.Nifti1Image(image.get_fdata().astype('i4'), image.affine)"
+        whole = "image.astype(int)"
+        if is_image:
+            whole = "nibabel.Nifti1Image(image.get_fdata().astype('i4'), image.affine)"
         raise InvalidInputError(
             "image",
             "hold integers, which tell labels apart",
             f"dtype {voxels.dtype}",
-            advice=whole + "; of grey values, a comparison such as image > level makes a label",
-            remedies=(image if is_image else "image.astype(int)",),
+            advice=f"if its numbers are whole, {whole} has integers; of grey values, a comparison"
+            " such as image > level makes a label",
         )
     return voxels, affine
 
@@ -183,9 +182,10 @@ def _nets(number: NDArray[np.int32]) -> tuple[Floats, Floats, NDArray[Any], NDAr
         "all", smoothing=False, pad_background=False, output_mesh_type="triangles"
     )
     sides = np.asarray(net.cell_data["boundary_labels"])
-    faces = np.asarray(net.regular_faces)
-    smooth = net.smooth_taubin(
+    # VTK repeats points where voxels touch at an edge, and tears some of these open.
+    first, label = distinct_rows(np.asarray(net.points, dtype=np.float64))
+    stairs, faces = np.asarray(net.points, dtype=np.float64)[first], label[net.regular_faces]
+    smooth = pyvista.PolyData.from_regular_faces(stairs, faces).smooth_taubin(
         n_iter=_STEPS, pass_band=_PASS, boundary_smoothing=True, non_manifold_smoothing=True
     )
-    stairs, points = (np.asarray(one.points, dtype=np.float64) for one in (net, smooth))
-    return stairs, points, faces, sides
+    return stairs, np.asarray(smooth.points, dtype=np.float64), faces, sides

@@ -207,7 +207,14 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("Truth.source Truth.target Truth.symmetric", same),
         ("errors f g symmetric point_arrays values Samples.interpolate.values", np.ones(n)),
         ("mass target_mass", spectrum.mass),
-        ("inside", np.ones(n, dtype=bool)),
+        ("inside keep", np.ones(n, dtype=bool)),
+        ("image", np.pad(np.ones((3, 4, 5), int), 1)),
+        ("spacing", 0.5),
+        ("from_labels.labels", [1]),
+        ("LabelSurface.label", 1),
+        ("Overlay.values write_overlay.values", np.ones(n)),
+        ("Overlay.names", {1: "cortex"}),
+        ("write.point_data", {"u": np.ones(n)}),
         ("VectorHeat.transport.vectors transport_vectors.vectors", np.ones((2, 3))),
         ("VectorHeat.extend.values", np.ones(2)),
         ("TangentFrames.vectors.coordinates", np.ones(2 * n)),
@@ -377,7 +384,9 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         # Files.
         ("path", "out.png"),
         ("read.path", "mesh.obj"),
-        ("write.path", "out.obj"),
+        ("write.path", "out.ply"),
+        ("read_overlay.path", "lh.curv"),
+        ("write_overlay.path", "out.curv"),
         ("Spectrum.save.path", "out.npz"),
         ("Spectrum.load.path", "spectrum.npz"),
         ("save_weights.path save_labeller.path ShapeIndex.save.path", "out.safetensors"),
@@ -404,6 +413,7 @@ MAY_BE_INFINITE = {"diagnose", "match", "match_part", "Collection.pair", "compar
 # What is right besides values of the kind of the example.
 ALSO = {
     "sources": {"number"},
+    "spacing": {"array"},
     "spectral_distance.time": {"number"},
     "accuracy_curve.thresholds": {"number"},
     "k": {"array"},
@@ -642,6 +652,7 @@ def written() -> Path:
     folder = Path(tempfile.mkdtemp())
     atexit.register(shutil.rmtree, folder)
     geometry.write(instances()["TriangleMesh"], folder / "mesh.obj")
+    geometry.write_overlay(np.ones(9), folder / "lh.curv")
     instances()["Spectrum"].save(folder / "spectrum.npz")
     learn.save_labeller(folder / "labeller.safetensors", instances()["Classifier"])
     instances()["ShapeIndex"].save(folder / "index.safetensors")

@@ -2,17 +2,34 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from spectra_kit._core.optional import optional
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays
 from spectra_kit.geometry.formats.foreign import held_by, read_by
 
 MODULES = {".inp": "abaqus", ".mesh": "medit", ".msh": "gmsh"}
 
 
+_COUNTS = re.compile(rb"^(?:\$?[A-Z][A-Za-z]+)\s+(\d+)(?:[ \t]+(\d+))?", re.MULTILINE)
+
+
 def read(path: Path) -> Arrays:
-    """Return the points, and the triangles, quads and polygons."""
+    """Return the points, and the triangles, quads and polygons.
+
+    What a file announces is what meshio makes room for, and waits for, however short it is.
+    """
+    data = path.read_bytes()
+    announced = max((int(n[:18]) for found in _COUNTS.findall(data) for n in found if n), default=0)
+    if announced > len(data):
+        raise InvalidInputError(
+            f"announces {announced:,} of a kind in {len(data):,} bytes; it may be damaged"
+        )
+    for part in (b"Nodes", b"Elements"):  # of which meshio says as much on stderr
+        if b"$" + part in data and b"$End" + part not in data:
+            raise InvalidInputError(f"does not end its ${part.decode()}; it may be cut short")
     suffix = path.suffix.lower()
     meshio = optional("meshio", extra="meshio", needed_by=f"reading {suffix[1:]}")
     # By its module: `meshio.read` ends the process where it fails.
