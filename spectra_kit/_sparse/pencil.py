@@ -54,11 +54,6 @@ class Pencil:
         shifted.data = self._at(sigma)
         return shifted
 
-    def mass_factor(self) -> SparseLDL:
-        """Factorise an M that is a matrix; refused where it is not positive definite."""
-        diagonal = self._mass[self._diagonal]
-        return SparseLDL.of_entries(self._mass, diagonal, self.elimination, definite=True)
-
     def factor(self, sigma: float) -> SparseLDL | None:
         """Factorise ``L - sigma M``; nothing where a pivot is zero, as close to an eigenvalue."""
         entries = self._at(sigma)

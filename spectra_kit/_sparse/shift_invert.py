@@ -13,6 +13,7 @@ from spectra_kit._core.clock import Clock
 from spectra_kit._core.threads import in_threads, shares, single_threaded_blas
 from spectra_kit._core.types import Floats, Singles
 from spectra_kit._sparse.elimination import Elimination
+from spectra_kit._sparse.inverse_norms import inverse_squares, least_eigenvalue
 from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit._sparse.orthonormal import RankError
 from spectra_kit._sparse.pencil import Pencil
@@ -180,13 +181,15 @@ class _Residuals:
 
     def __init__(self, stiffness: sparse.csr_array, mass: Floats | sparse.csr_array) -> None:
         self._stiffness, self._mass = stiffness, mass
-        self._factor = SparseLDL(mass) if isinstance(mass, sparse.csr_array) else None
+        self._least = 1.0
+        if isinstance(mass, sparse.csr_array):
+            self._least = least_eigenvalue(mass, mass.diagonal())
 
     def __call__(self, values: Floats, X: Floats) -> tuple[Singles, Floats]:
-        if self._factor is None:
+        if isinstance(self._mass, np.ndarray):
             return residuals(self._stiffness, self._mass, values, X)
         R = spmm(self._stiffness, X) - spmm(self._mass, X) * values
-        squares = np.einsum("ij,ij->j", R, self._factor.solve(R))
+        squares = inverse_squares(self._mass, R, self._least)
         return R.astype(np.float32), np.sqrt(squares)
 
 

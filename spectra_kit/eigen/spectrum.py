@@ -19,7 +19,8 @@ from spectra_kit._core.shown import draw
 from spectra_kit._core.threads import blas_threads_for
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, check_positive, quantity
-from spectra_kit._sparse.host import dots, energies, gram, product
+from spectra_kit._sparse.host import energies, gram, product
+from spectra_kit._sparse.inverse_norms import inverse_squares
 from spectra_kit._sparse.products import residual_norms, weighed
 from spectra_kit.eigen.certificate import Certificate, ModeCount, Provenance
 from spectra_kit.eigen.spectrum_file import REMEDY, read_spectrum_file, write_spectrum_file
@@ -235,8 +236,8 @@ class Spectrum(Rebuilt):
         out: there u is prescribed, not solved for.
         """
         self._check_belongs_to(laplacian)
-        factor = laplacian._mass_factor
-        if factor is None:
+        M = laplacian.consistent_mass
+        if M is None:
             norms = residual_norms(
                 laplacian.stiffness,
                 laplacian.mass,
@@ -247,10 +248,11 @@ class Spectrum(Rebuilt):
         else:
             rest = product(laplacian.stiffness, self.eigenvectors)
             rest -= self._weighed(self.eigenvectors) * self.eigenvalues
-            rest = rest[laplacian.free] if len(laplacian.fixed) else rest
-            norms = np.sqrt(dots(rest, factor.solve(rest)))
+            if len(laplacian.fixed):
+                rest, M = rest[laplacian.free], laplacian.restricted(laplacian.free).consistent_mass
+            norms = np.sqrt(inverse_squares(M, rest, laplacian._least_weight))
         known = vars(self).get("_products")
-        if known is None and factor is None:
+        if known is None and M is None:
             squared = energies(self.mass, self.eigenvectors)
         else:
             squared = self._products.diagonal()

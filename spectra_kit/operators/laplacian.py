@@ -20,12 +20,10 @@ from spectra_kit.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from spectra_kit._sparse.elimination import Elimination
-    from spectra_kit._sparse.ldl import SparseLDL
 
 _EPS = float(np.finfo(np.float64).eps)
 _ROUNDING = 32 * _EPS  # of the sums of rows, relative to magnitudes
 _VANISHES = 1e-2  # of its diagonal entry: the sum of a row of a mass; of linear elements it is 2
-_POWERS = 2  # of the inverse of a mass, whose spectrum is narrow
 # By dimension: what makes medians of L spacings, and Weyl's first eigenvalue where the mass is one.
 _WEYL = {2: (4.0, 4 * np.pi), 3: (2.5, (6 * np.pi**2) ** (2 / 3))}
 
@@ -151,8 +149,7 @@ class Laplacian(Rebuilt):
         return Pencil(self.stiffness, self._weights).elimination
 
     def _forget(self) -> None:
-        for name in ("_elimination", "_mass_factor"):
-            vars(self).pop(name, None)
+        vars(self).pop("_elimination", None)
 
     @property
     def _weights(self) -> Floats | sparse.csr_array:
@@ -166,35 +163,24 @@ class Laplacian(Rebuilt):
         return self.mass if M is None else np.asarray(M.sum(axis=1))
 
     @cached
-    def _mass_factor(self) -> SparseLDL | None:
-        """A factor of M on the free points, where M is no diagonal; `_forget` it."""
-        from spectra_kit._sparse.pencil import Pencil
-
+    def _least_weight(self) -> float:
+        """Below the least eigenvalue of M relative to the lumped one: 1 where that is all of it."""
         if self.consistent_mass is None:
-            return None
-        if len(self.fixed):
-            return self.restricted(self.free)._mass_factor
-        try:
-            return Pencil(self.stiffness, self.consistent_mass, self._elimination).mass_factor()
-        except InvalidInputError as error:
+            return 1.0
+        from spectra_kit._sparse.inverse_norms import least_eigenvalue
+
+        M = self.consistent_mass
+        least = least_eigenvalue(
+            _block(M, self.free) if len(self.fixed) else M, self.mass[self.free]
+        )
+        if least <= 0:
             raise InvalidInputError(
                 "mass",
                 "be positive definite",
-                "a matrix that has no Cholesky factor",
+                f"a matrix whose least eigenvalue, relative to its lumped part, is {least:.2g}",
                 advice="pass its row sums, if these are positive: a lumped mass",
-            ) from error
-
-    @cached
-    def _least_weight(self) -> float:
-        """Below the least eigenvalue of M relative to the lumped one: 1 where that is all of it."""
-        if (factor := self._mass_factor) is None:
-            return 1.0
-        root = np.sqrt(self.mass[self.free])[:, None]
-        X = np.random.default_rng(0).standard_normal((factor.n, min(8, factor.n)))
-        for _ in range(_POWERS):  # of the inverse: a bound on rounding takes no more digits
-            X = np.linalg.qr(root * factor.solve(root * X))[0]
-        inside = X.T @ (root * factor.solve(root * X))
-        return 0.5 / float(np.linalg.eigvalsh(inside)[-1])  # a few columns see most of it
+            )
+        return least / 2  # it is found to a few digits
 
     @cached
     def _rounding(self) -> float:
