@@ -1,7 +1,7 @@
 """Norms in the inverse of a mass that is no diagonal, by conjugate gradients.
 
-A factor of it would have the fill of one of the stiffness, of numbers that vanish for the most part;
-and its spectrum, scaled by the diagonal, is narrow.
+A factor of it would have the fill of one of the stiffness, of numbers that vanish for the most
+part; and its spectrum, scaled by the diagonal, is narrow.
 """
 
 from __future__ import annotations
