@@ -221,6 +221,8 @@ class Laplacian(Rebuilt):
         labels = np.full(self.n, -1, dtype=np.int64)
         graph = self.stiffness[self.free][:, self.free] if len(self.fixed) else self.stiffness
         labels[self.free] = connected_components(graph, directed=False)[1]
+        if self.consistent_mass is not None:
+            _check_apart(self.consistent_mass, labels)
         return frozen(labels)
 
     @property
@@ -334,6 +336,20 @@ class Laplacian(Rebuilt):
 def check_dimension(value: int) -> None:
     """Refuse what is neither a surface nor a volume."""
     check_count("dimension", value, low=2, high=3)
+
+
+def _check_apart(mass: sparse.csr_array, labels: Ints) -> None:
+    """Refuse a mass that joins components, each of which is solved by itself."""
+    entries = sparse.coo_array(mass)
+    one, other = labels[entries.row], labels[entries.col]
+    if (joined := (one >= 0) & (other >= 0) & (one != other)).any():
+        first = int(joined.argmax())
+        raise InvalidInputError(
+            "mass",
+            "join no points of parts that the stiffness leaves apart",
+            f"an entry at {entries.row[first]}, {entries.col[first]}",
+            advice="are both matrices of the same mesh, in the same order?",
+        )
 
 
 def _block(matrix: sparse.csr_array, indices: Ints) -> sparse.csr_array:
