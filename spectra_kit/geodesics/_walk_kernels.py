@@ -2,122 +2,121 @@
 
 The frame of a *face* is that of its side 0: corner 0 is the origin, corner 1 lies on the x axis,
 corner 2 above it. A line heads for a point that lies at (x, y) once the faces up to there are
-unfolded into the plane. Sides, soups and fronts are those of `_exact_kernels`.
+unfolded into the plane. Sides, soups and fronts are those of `_exact_kernels`. Segments lie in
+`faces` (m,), and `ends` (m, 2, 3) are the barycentric coordinates in these of their ends.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 from numba.extending import register_jitable
 
 from spectra_kit._core.compiled import compiled
 from spectra_kit._core.types import Floats, Ints
+from spectra_kit.geodesics._exact_kernels import Front, Soup
 
 # Of the longest side of a face: a line this near to a corner meets it. What that adds to a path is
 # of second order.
 _TOUCH = 1e-9
-#: How a line ends: where it heads for; at a corner; at an edge of one face, or of more than two.
-THERE, CORNER, BOUNDARY, BRANCH = 0, 1, 2, 3
-#: In place of a count of segments: they do not fit; a path cannot be followed.
-NO_ROOM, LOST = -1, -2
-
-
-class Surface(NamedTuple):
-    """What a walk needs of a `Soup`."""
-
-    tails: Ints
-    lengths: Floats
-    apex_x: Floats
-    apex_y: Floats
-    around: Ints
-
-
-class Ways(NamedTuple):
-    """What a walk back needs of a `Front`."""
-
-    d: Floats
-    arrived: Ints
-    seen: Floats
-    came: Ints
-    earlier: Ints
+_ROOM = 64  # segments to begin with
+MOST = 2**22  # segments that are a path, and not a length in another unit
+#: How a line ends: where it heads for; at a corner; at an edge of one face, or of more than two;
+#: after too many segments.
+THERE, CORNER, EDGE, ENDLESS = 0, 1, 2, 3
 
 
 @compiled()
 def trace(
-    surface: Surface, face: int, corner: int, x: float, y: float, faces: Ints, ends: Floats
-) -> tuple[int, int, int, float, float]:
-    """Follow the line from a corner of a face towards (x, y), which its angle sees, in its frame.
+    soup: Soup, side: int, angle: float, length: float
+) -> tuple[Ints, Floats, int, int, int, float, float]:
+    """Follow the line of some length that leaves the tail of a side at an angle to it.
 
-    Return how many segments were written to `faces` and `ends`, how it ended, the corner met as a
-    side that begins there, and how far on (x, y) still is, in the frame of the last face.
+    Return its segments, how many these are, how it ended, the side that begins at the corner met,
+    at which angle to that it came, and how much of the length is missing.
     """
-    no = np.empty(0, np.int64)
-    return _line(surface, no, no, face, corner, x, y, -1, faces, ends, 0)
+    no, face = np.empty(0, np.int64), side // 3
+    x, y = _in_face(soup, side, length * np.cos(angle), length * np.sin(angle))
+    faces, ends = _buffers()
+    faces, ends, count, how, met, x, y = _line(
+        soup, no, no, face, side % 3, x, y, -1, faces, ends, 0
+    )
+    back = 0.0
+    if how == CORNER:
+        _, _, ex, ey = _axis(soup, met)
+        back = np.arctan2(x * ey - y * ex, -x * ex - y * ey)
+    return faces, ends, count, how, met, back, np.hypot(x, y)
 
 
 @compiled()
-def backtrace(surface: Surface, ways: Ways, v: int, faces: Ints, ends: Floats) -> int:
-    """Write the segments of the shortest path from vertex v back to its source; return how many.
+def backtrace(soup: Soup, front: Front, v: int) -> tuple[Ints, Floats, int, int, float]:
+    """Follow the shortest path from vertex v back to its source.
 
-    Each lies in a face of `faces` (m,); `ends` (m, 2, 3) are the barycentric coordinates in it of
-    its ends. `NO_ROOM` or `LOST` where it cannot.
+    Return its segments, how many these are, -1 where they cannot be followed, and how it leaves the
+    source: the side that begins there, of its face, and the angle to that.
     """
-    return _back(surface, ways, v, faces, ends)
-
-
-@compiled()
-def last_segments(
-    surface: Surface, ways: Ways, faces: Ints, ends: Floats, last: Ints, at: Floats
-) -> int:
-    """Write of each vertex the last face (n,) on its way back, and where it comes in, (n, 3).
-
-    A face of -1 where there is no way; the room for one path is in `faces` and `ends`.
-    """
-    for v in range(len(last)):
-        last[v] = -1
-        if ways.arrived[v, 0] < 0:
-            continue
-        count = _back(surface, ways, v, faces, ends)
-        if count == NO_ROOM:
-            return NO_ROOM
-        if count > 0:
-            last[v] = faces[count - 1]
-            at[v] = ends[count - 1, 0]
-    return 0
+    faces, ends = _buffers()
+    faces, ends, count = _back(soup, front, v, faces, ends)
+    side, angle = -1, 0.0
+    if count > 0:
+        face, x, y = faces[count - 1], 0.0, 0.0
+        for c in range(3):
+            if ends[count - 1, 1, c] == 1:
+                side = 3 * face + c
+            cx, cy = _corner(soup, face, c)
+            x, y = x + ends[count - 1, 0, c] * cx, y + ends[count - 1, 0, c] * cy
+        x, y = _in_side(soup, side, x, y)
+        angle = np.arctan2(y, x)
+    return faces, ends, count, side, angle
 
 
 @register_jitable
-def _back(surface: Surface, ways: Ways, v: int, faces: Ints, ends: Floats) -> int:
+def _buffers() -> tuple[Ints, Floats]:
+    return np.empty(_ROOM, np.int64), np.empty((_ROOM, 2, 3))
+
+
+@register_jitable
+def _roomy(faces: Ints, ends: Floats, count: int) -> tuple[Ints, Floats]:
+    """Return the same, with room for one segment more."""
+    if count < len(faces):
+        return faces, ends
+    more, further = np.empty(2 * count, np.int64), np.empty((2 * count, 2, 3))
+    for i in range(count):
+        more[i] = faces[i]
+        for c in range(3):
+            further[i, 0, c], further[i, 1, c] = ends[i, 0, c], ends[i, 1, c]
+    return more, further
+
+
+@register_jitable
+def _back(soup: Soup, front: Front, v: int, faces: Ints, ends: Floats) -> tuple[Ints, Floats, int]:
+    """Write the segments of `backtrace`, and count them; -1 where the path cannot be followed."""
     count = 0
-    while ways.arrived[v, 0] >= 0:
-        if count + 1 >= len(faces):
-            return NO_ROOM
-        side, passage = ways.arrived[v, 0], ways.arrived[v, 2]
+    while front.arrived[v, 0] >= 0:
+        side, passage = front.arrived[v, 0], front.arrived[v, 2]
         if passage < -1:  # along a side
             c = side % 3
-            start, end = (c, (c + 1) % 3) if surface.tails[side] == v else ((c + 1) % 3, c)
+            start, end = (c, (c + 1) % 3) if soup.tails[side] == v else ((c + 1) % 3, c)
+            faces, ends = _roomy(faces, ends, count)
             faces[count] = side // 3
-            ends[count] = 0.0
-            ends[count, 0, start] = ends[count, 1, end] = 1.0
+            _put(ends, count, 0, start, 0.0)
+            _put(ends, count, 1, end, 0.0)
             count += 1
-            v = ways.arrived[v, 1]
+            v = front.arrived[v, 1]
             continue
-        x, y = _in_face(surface, side, ways.seen[v, 0], -ways.seen[v, 1])
+        x, y = _in_face(soup, side, front.seen[v, 0], -front.seen[v, 1])
         corner = (side % 3 + 2) % 3
-        count, how, met, _, _ = _line(
-            surface, ways.came, ways.earlier, side // 3, corner, x, y, passage, faces, ends, count
+        faces, ends, count, how, met, _, _ = _line(
+            soup, front.came, front.earlier, side // 3, corner, x, y, passage, faces, ends, count
         )
-        if how != CORNER or ways.d[surface.tails[met]] >= ways.d[v]:
-            return NO_ROOM if how == NO_ROOM else LOST
-        v = surface.tails[met]
-    return count
+        if how != CORNER or front.d[soup.tails[met]] >= front.d[v]:
+            return faces, ends, -1
+        v = soup.tails[met]
+    return faces, ends, count
 
 
 @register_jitable
 def _line(
-    surface: Surface,
+    soup: Soup,
     came: Ints,
     earlier: Ints,
     face: int,
@@ -128,23 +127,26 @@ def _line(
     faces: Ints,
     ends: Floats,
     count: int,
-) -> tuple[int, int, int, float, float]:
-    """Follow a line from a corner of a face towards (x, y), in its frame; see `trace`."""
-    px, py = _corner(surface, face, corner)
-    entry = -1  # the side of the face by which it came in
-    start = np.zeros(3)
-    start[corner] = 1.0
-    while count + 1 < len(faces):
+) -> tuple[Ints, Floats, int, int, int, float, float]:
+    """Follow a line from a corner of a face towards (x, y), in its frame, which its angle sees.
+
+    Return the segments with those before, how it ended, the corner met as a side that begins there,
+    and how far on (x, y) still is, in the frame of the last face.
+    """
+    px, py = _corner(soup, face, corner)
+    entry, begin, share = -1, corner, 0.0  # by which side of the face it came in, and where there
+    while count < MOST:
+        faces, ends = _roomy(faces, ends, count)
         dx, dy = x - px, y - py
         r = np.hypot(dx, dy)
         faces[count] = face
-        ends[count, 0] = start
-        touch = _TOUCH * max(surface.lengths[3 * face], surface.lengths[3 * face + 1])
+        _put(ends, count, 0, begin, share)
+        touch = _TOUCH * max(soup.lengths[3 * face], soup.lengths[3 * face + 1])
         met, nearest = -1, np.inf
         for c in range(3):
             if c == corner:
                 continue
-            cx, cy = _corner(surface, face, c)
+            cx, cy = _corner(soup, face, c)
             cx, cy = cx - px, cy - py
             along = (cx * dx + cy * dy) / r
             if (
@@ -154,78 +156,83 @@ def _line(
             ):
                 met, nearest = c, along
         if met >= 0:
-            ends[count, 1] = 0.0
-            ends[count, 1, met] = 1.0
-            return count + 1, CORNER, 3 * face + met, dx * (1 - nearest / r), dy * (1 - nearest / r)
+            _put(ends, count, 1, met, 0.0)
+            rest = 1 - nearest / r
+            return faces, ends, count + 1, CORNER, 3 * face + met, rest * dx, rest * dy
         # Of the sides that (x, y) is beyond, the line crosses the nearest.
         out, first = -1, np.inf
         for c in range(3):
             if c in (entry, corner) or (c + 1) % 3 == corner:
                 continue
-            _, above = _in_side(surface, 3 * face + c, px, py)
-            _, beyond = _in_side(surface, 3 * face + c, x, y)
+            _, above = _in_side(soup, 3 * face + c, px, py)
+            _, beyond = _in_side(soup, 3 * face + c, x, y)
             if beyond < 0:
-                share = max(above, 0.0) / (max(above, 0.0) - beyond)
-                if share < first:
-                    out, first = c, share
+                way = max(above, 0.0) / (max(above, 0.0) - beyond)
+                if way < first:
+                    out, first = c, way
         if out < 0:
-            L, (ax, ay) = surface.lengths[3 * face], _corner(surface, face, 2)
+            L, (ax, ay) = soup.lengths[3 * face], _corner(soup, face, 2)
             two = y / ay
             one = (x - two * ax) / L
             ends[count, 1, 0], ends[count, 1, 1], ends[count, 1, 2] = 1 - one - two, one, two
-            return count + 1, THERE, -1, 0.0, 0.0
+            return faces, ends, count + 1, THERE, -1, 0.0, 0.0
         t = 3 * face + out
-        L = surface.lengths[t]
-        at, _ = _in_side(surface, t, px + first * dx, py + first * dy)
+        L = soup.lengths[t]
+        at, _ = _in_side(soup, t, px + first * dx, py + first * dy)
         at = min(max(at, 0.0), L)
-        ends[count, 1] = 0.0
-        ends[count, 1, out], ends[count, 1, (out + 1) % 3] = 1 - at / L, at / L
+        _put(ends, count, 1, out, at / L)
         count += 1
-        u = surface.around[t]
-        if u == t:
-            return count, BOUNDARY, t, dx * (1 - first), dy * (1 - first)
-        if surface.around[u] != t:
-            if passage < 0:
-                return count, BRANCH, t, dx * (1 - first), dy * (1 - first)
+        u = soup.around[t]
+        two_faces = u != t and soup.around[u] == t
+        if not two_faces and passage < 0:
+            return faces, ends, count, EDGE, t, dx * (1 - first), dy * (1 - first)
+        if not two_faces:
             u, passage = came[passage], earlier[passage]
-        tx, ty = _in_side(surface, t, x, y)
-        if surface.tails[u] != surface.tails[t]:
+        tx, ty = _in_side(soup, t, x, y)
+        if soup.tails[u] != soup.tails[t]:
             at, tx = L - at, L - tx
         face, entry, corner = u // 3, u % 3, -1
-        x, y = _in_face(surface, u, tx, -ty)
-        px, py = _in_face(surface, u, at, 0.0)
-        start[:] = 0.0
-        start[entry], start[(entry + 1) % 3] = 1 - at / L, at / L
-    return count, NO_ROOM, -1, 0.0, 0.0
+        begin, share = entry, at / L
+        x, y = _in_face(soup, u, tx, -ty)
+        px, py = _in_face(soup, u, at, 0.0)
+    return faces, ends, count, ENDLESS, -1, 0.0, 0.0
 
 
 @register_jitable
-def _corner(surface: Surface, face: int, c: int) -> tuple[float, float]:
+def _put(ends: Floats, count: int, which: int, c: int, share: float) -> None:
+    """Write an end of a segment: at a share of the side from corner c on."""
+    for k in range(3):
+        ends[count, which, k] = 0.0
+    ends[count, which, c], ends[count, which, (c + 1) % 3] = 1 - share, share
+
+
+@register_jitable
+def _corner(soup: Soup, face: int, c: int) -> tuple[float, float]:
     """Return where a corner lies in the frame of its face."""
     if c == 0:
         return 0.0, 0.0
     if c == 1:
-        return surface.lengths[3 * face], 0.0
-    return surface.apex_x[3 * face], surface.apex_y[3 * face]
+        return soup.lengths[3 * face], 0.0
+    return soup.apex_x[3 * face], soup.apex_y[3 * face]
 
 
 @register_jitable
-def _axis(surface: Surface, side: int) -> tuple[float, float, float, float]:
+def _axis(soup: Soup, side: int) -> tuple[float, float, float, float]:
     """Return origin and x axis of a side's frame in that of its face."""
     face, c = side // 3, side % 3
-    ox, oy = _corner(surface, face, c)
-    hx, hy = _corner(surface, face, (c + 1) % 3)
+    ox, oy = _corner(soup, face, c)
+    hx, hy = _corner(soup, face, (c + 1) % 3)
     L = np.hypot(hx - ox, hy - oy)
     return ox, oy, (hx - ox) / L, (hy - oy) / L
 
 
 @register_jitable
-def _in_face(surface: Surface, side: int, x: float, y: float) -> tuple[float, float]:
-    ox, oy, ex, ey = _axis(surface, side)
+def _in_face(soup: Soup, side: int, x: float, y: float) -> tuple[float, float]:
+    ox, oy, ex, ey = _axis(soup, side)
     return ox + x * ex - y * ey, oy + x * ey + y * ex
 
 
 @register_jitable
-def _in_side(surface: Surface, side: int, x: float, y: float) -> tuple[float, float]:
-    ox, oy, ex, ey = _axis(surface, side)
+def _in_side(soup: Soup, side: int, x: float, y: float) -> tuple[float, float]:
+    ox, oy, ex, ey = _axis(soup, side)
     return (x - ox) * ex + (y - oy) * ey, (y - oy) * ex - (x - ox) * ey

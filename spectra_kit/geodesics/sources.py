@@ -242,13 +242,15 @@ def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint
 
 
 def points_named(name: str, points: Any, mesh: TriangleMesh) -> list[int | FacePoint]:
-    """Return vertices and points of faces one by one, all of them on the surface."""
+    """Return points one by one, all of them on the surface; a vertex as such, however named."""
     named = named_sources(points, mesh, name)
     if not named:
         raise InvalidInputError(name, "name at least one point", "none")
-    for point in named:
+    for i, point in enumerate(named):
         if isinstance(point, FacePoint):
-            _corners(point, mesh)
+            corners = _corners(point, mesh)
+            if max(point.barycentric) == 1:
+                named[i] = int(corners[np.argmax(point.barycentric)])
     _check_used(name, np.array([p for p in named if not isinstance(p, FacePoint)], int), mesh)
     return named
 

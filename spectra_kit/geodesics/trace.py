@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,21 +11,21 @@ from numpy.typing import ArrayLike
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import check_count, check_positive, real_array
+from spectra_kit._core.validate import check_count, check_positive
 from spectra_kit._core.warn import warn
 from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.exact import propagated, soup_of
-from spectra_kit.geodesics.paths import SurfacePath, path_of, surface_of, walk_of
+from spectra_kit.geodesics.paths import SurfacePath, path_of
 from spectra_kit.geodesics.sources import FacePoint, points_named
 from spectra_kit.geodesics.splits import split_at
 from spectra_kit.geodesics.vectors import VectorHeat
 from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.geometry.frames import frames_of, unit_vectors
+from spectra_kit.operators.checks import of_shape
 
 if TYPE_CHECKING:
     from spectra_kit.geodesics._exact_kernels import Soup
 
-_ROOM = 1024  # segments of a path to begin with
-_MOST = 2**22  # segments that are a path, and not a length in another unit
 _ROUNDING = 1e-12  # of a length
 
 
@@ -51,6 +51,10 @@ class Fan(NamedTuple):
     def scale(self) -> float:
         """What directions are turned by for each of these angles: all around is a full turn."""
         return 2 * np.pi / self.total if self.closed else 1.0
+
+    def turned(self, i: Any, angle: Any) -> Any:
+        """Return angles from the side of corner i as angles from where it begins, or back."""
+        return np.where(self.forward[i] > 0, angle, self.angles[i] - angle)
 
 
 @checked
@@ -117,8 +121,7 @@ def trace_geodesic(
     Notes
     -----
     Polthier and Schmies, *Straightest geodesics on polyhedral surfaces*, Mathematical
-    Visualization, 1998. potpourri3d traces on manifold meshes of one winding, and returns points
-    alone.
+    Visualization, 1998.
 
     Examples
     --------
@@ -133,9 +136,7 @@ def trace_geodesic(
     """
     if length is not None:
         check_positive("length", length)
-    towards = real_array("direction", direction)
-    if towards.shape != (3,):
-        raise InvalidInputError("direction", "have shape (3,)", towards.shape)
+    towards = of_shape("direction", direction, (3,))
     split = split_at(mesh, points_named("source", source, mesh))
     v, (soup, unit) = split.vertices[0], soup_of(split.mesh)
     fan = fan_of(soup, v, "source")
@@ -203,7 +204,7 @@ def logarithmic_map(geometry: Geometry, source: int | FacePoint) -> LogarithmicM
     >>> bool(np.allclose(path.points[-1], mesh.points[100]))
     True
     """
-    from spectra_kit.geodesics._walk_kernels import NO_ROOM, last_segments
+    from spectra_kit.geodesics._walk_kernels import backtrace
 
     if not isinstance(geometry, TriangleMesh):
         if isinstance(source, FacePoint):
@@ -217,18 +218,13 @@ def logarithmic_map(geometry: Geometry, source: int | FacePoint) -> LogarithmicM
     v, n = split.vertices[0], split.mesh.n
     known = propagated(split.mesh, np.array([v]), np.arange(n))
     fan = fan_of(known.soup, v, "source")
-    last, at, room = np.empty(n, np.int64), np.empty((n, 3)), _ROOM
-    while last_segments(*walk_of(known), *_buffers(room), last, at) == NO_ROOM:
-        room *= 2
-    reached = np.flatnonzero(last >= 0)
-    faces = split.mesh.faces[last[reached]]
-    side = 3 * last[reached] + np.argmax(faces == v, axis=1)
+    left = [backtrace(known.soup, known.front, v)[3:] for v in range(n)]
+    sides, inside = (np.array(column) for column in zip(*left, strict=True))
+    reached = np.flatnonzero(sides >= 0)
     place = np.zeros(3 * len(split.mesh.faces), dtype=np.int64)
     place[fan.sides] = np.arange(len(fan.sides))
-    i = place[side]
-    inside = _angles_in(known.soup, side, at[reached])
-    turned = np.where(fan.forward[i] > 0, inside, fan.angles[i] - inside)
-    angle = (fan.begins[i] + turned) * fan.scale
+    i = place[sides[reached]]
+    angle = (fan.begins[i] + fan.turned(i, inside[reached])) * fan.scale
     coordinates = np.full((n, 2), np.nan)
     distance = known.distances[reached, None]
     coordinates[reached] = distance * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -287,102 +283,58 @@ def _no_fan(name: str, v: int, got: str) -> InvalidInputError:
 
 
 def _after(side: int) -> int:
-    return side + 1 if side % 3 < 2 else side - 2
+    return side - side % 3 + (side + 1) % 3
 
 
 def _before(side: int) -> int:
-    return side - 1 if side % 3 else side + 2
+    return side - side % 3 + (side + 2) % 3
 
 
 def _axes(mesh: TriangleMesh, fan: Fan) -> Floats:
     """Return the axes (2, 3) of the tangent plane, turned so that edges fit their angles best."""
-    faces, c = mesh.faces[fan.sides // 3], fan.sides % 3
-    rows = np.arange(len(faces))
-    at, after, before = (mesh.points[faces[rows, (c + i) % 3]] for i in range(3))
-    size = np.abs(after - at).max()  # powers of a length in any unit are in range
-    ways = np.stack([after - at, before - at]) / size
-    normals = np.cross(*ways)
-    areas = np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)
-    normal = (fan.forward * fan.angles / areas) @ normals
-    normal /= np.linalg.norm(normal)
+    faces, corner = mesh.faces[fan.sides // 3], fan.sides % 3
+    at, after, before = (
+        mesh.points[np.take_along_axis(faces, (corner[:, None] + i) % 3, 1)[:, 0]] for i in range(3)
+    )
+    ways = np.stack([after - at, before - at])
+    ways /= np.abs(ways).max()  # powers of a length in any unit are in range
+    normal = (fan.forward * fan.angles) @ unit_vectors(np.cross(*ways))
+    axes = frames_of(unit_vectors(normal))[:2]
     # In any axes of that plane, edges as complex numbers, and what turns them to their angles.
-    first = np.linalg.svd(normal[None])[2][1]
-    axes = np.stack([first, np.cross(normal, first)])
-    forward = fan.forward > 0
-    begins, ends = np.where(forward[:, None], ways, ways[::-1])
+    seen = np.where(fan.forward[:, None] > 0, ways, ways[::-1]) @ axes.T @ [1, 1j]
     angles = np.stack([fan.begins, fan.begins + fan.angles]) * fan.scale
-    seen = np.stack([begins, ends]) @ axes.T @ [1, 1j]
-    turn = (seen / np.abs(seen) * np.exp(-1j * angles)).sum()
-    cos, sin = turn.real / abs(turn), turn.imag / abs(turn)
-    return np.asarray(np.array([[cos, sin], [-sin, cos]]) @ axes)
-
-
-def _plane(soup: Soup, sides: Ints) -> tuple[Floats, Floats, Floats]:
-    """Return corners (s, 3, 2) in the frames of their faces; origins and axes (s, 2) of sides."""
-    face = 3 * (sides // 3)
-    corners = np.zeros((len(sides), 3, 2))
-    corners[:, 1, 0] = soup.lengths[face]
-    corners[:, 2] = np.column_stack([soup.apex_x[face], soup.apex_y[face]])
-    rows, c = np.arange(len(sides)), sides % 3
-    origin, head = corners[rows, c], corners[rows, (c + 1) % 3]
-    return corners, origin, (head - origin) / np.linalg.norm(head - origin, axis=1)[:, None]
-
-
-def _angles_in(soup: Soup, sides: Ints, weights: Floats) -> Floats:
-    """Return the angle from each side at its tail to a point of its face, by weights (s, 3)."""
-    corners, origin, axis = _plane(soup, sides)
-    x, y = (np.einsum("sc,scx->sx", weights, corners) - origin).T
-    across, along = y * axis[:, 0] - x * axis[:, 1], x * axis[:, 0] + y * axis[:, 1]
-    return np.asarray(np.arctan2(across, along))
+    turn = np.exp(1j * (np.angle(seen) - angles)).sum()
+    turn /= abs(turn)
+    return np.asarray([[turn.real, turn.imag], [-turn.imag, turn.real]] @ axes)
 
 
 def _traced(soup: Soup, fan: Fan, angle: float, length: float) -> tuple[Ints, Floats, float]:
     """Return faces and ends of the segments of a straightest path, and how much is missing."""
-    from spectra_kit.geodesics._walk_kernels import CORNER, NO_ROOM, THERE, trace
+    from spectra_kit.geodesics._walk_kernels import CORNER, ENDLESS, MOST, trace
 
-    surface, parts = surface_of(soup), []
-    room, whole = _ROOM, length
+    parts, missing = [], length
     while True:
         i = min(int(np.searchsorted(fan.begins, angle, side="right")) - 1, len(fan.sides) - 1)
-        side, inside = int(fan.sides[i]), min(angle - fan.begins[i], fan.angles[i])
-        if fan.forward[i] < 0:
-            inside = fan.angles[i] - inside
-        _, origin, axis = _plane(soup, np.array([side]))
-        (ox, oy), (ax, ay) = origin[0], axis[0]
-        cos, sin = length * np.cos(inside), length * np.sin(inside)
-        x, y = ox + cos * ax - sin * ay, oy + cos * ay + sin * ax
-        how = NO_ROOM
-        while how == NO_ROOM:
-            if room > _MOST:
-                raise InvalidInputError(
-                    "length",
-                    f"cross fewer than {_MOST} edges",
-                    f"{whole:.3g} times the extent of the surface",
-                    advice="is the unit the same?",
-                )
-            faces, ends = _buffers(room)
-            count, how, met, rx, ry = trace(surface, side // 3, side % 3, x, y, faces, ends)
-            room *= 2 if how == NO_ROOM else 1
-        parts.append((faces[:count].copy(), ends[:count].copy()))  # not the room around them
-        length = 0.0 if how == THERE else float(np.hypot(rx, ry))
-        if how != CORNER or length <= _ROUNDING * whole:
+        inside = fan.turned(i, min(angle - fan.begins[i], fan.angles[i]))
+        side = int(fan.sides[i])
+        faces, ends, count, how, met, back, missing = trace(soup, side, float(inside), missing)
+        if how == ENDLESS:
+            raise InvalidInputError(
+                "length",
+                f"cross fewer than {MOST} edges",
+                f"{length:.3g} times the extent of the surface",
+                advice="is the unit the same?",
+            )
+        parts.append((faces[:count], ends[:count]))
+        if how != CORNER or missing <= _ROUNDING * length:
             break
-        w = int(soup.tails[met])
         try:
-            fan = fan_of(soup, w, "source")
+            fan = fan_of(soup, int(soup.tails[met]), "source")
         except InvalidInputError:  # straight on has no meaning there
             break
         if not fan.closed:
             break
-        _, _, axis = _plane(soup, np.array([met]))
-        (ax, ay) = axis[0]
-        back = float(np.arctan2(-ry * ax + rx * ay, -rx * ax - ry * ay))
         i = int(np.flatnonzero(fan.sides == met)[0])
-        came = fan.begins[i] + (back if fan.forward[i] > 0 else fan.angles[i] - back)
-        angle = (came + fan.total / 2) % fan.total
+        angle = (fan.begins[i] + fan.turned(i, back) + fan.total / 2) % fan.total
     faces, ends = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return faces, ends, length if length > _ROUNDING * whole else 0.0
-
-
-def _buffers(room: int) -> tuple[Ints, Floats]:
-    return np.empty(room, np.int64), np.empty((room, 2, 3))
+    return faces, ends, missing if missing > _ROUNDING * length else 0.0
