@@ -15,8 +15,8 @@ from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics.vectors import VectorHeat
 from spectra_kit.geometry import Geometry
+from spectra_kit.geometry.frames import unit_vectors
 from spectra_kit.operators import oriented_triangles
-from spectra_kit.operators.connection import unit_vectors
 from spectra_kit.operators.tangent import outward
 from spectra_kit.operators.triangle_calculus import opposite_cotangents
 
@@ -44,10 +44,9 @@ def signed_distance(geometry: Geometry, curves: ArrayLike | Sequence[ArrayLike])
 
     Notes
     -----
-    Feng and Crane, *A Heat Method for Generalized Signed Distance*, ACM TOG 43(4), 2024, with
-    vectors at the points as in `VectorHeat`: normals of the curves are carried away by heat, and
-    the distance is the function whose slopes along the edges are nearest to the unit vectors, with
-    the weights of the Laplacian.
+    Feng and Crane, *A Heat Method for Generalized Signed Distance*, ACM TOG 43(4), 2024: normals of
+    the curves are carried away by `VectorHeat`, and the distance is the function whose slopes along
+    the edges are nearest to the unit vectors, with the weights of the Laplacian.
 
     Examples
     --------

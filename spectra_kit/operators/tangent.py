@@ -12,6 +12,7 @@ from scipy.sparse import csr_array
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.frames import frames_of
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators.checks import check_cloud_usable, check_faces_usable, of_shape, unit_of
 from spectra_kit.operators.local_delaunay import local_triangles
@@ -172,7 +173,7 @@ def _tangent(
     check_area_at_all(total)
     solid = areas > 0
     faces, owners, doubled, areas = faces[solid], owners[solid], doubled[solid], areas[solid]
-    frames = _frames(owners, doubled / areas[:, None] ** 0.5, n)
+    frames = frames_of(main_normals(owners, doubled / areas[:, None] ** 0.5, n))
     if oriented:
         frames = outward(frames, points, oriented_triangles(geometry, n_neighbors=n_neighbors))
     # The slope of the hat function of a corner, times the area, is half the side facing it, turned.
@@ -203,19 +204,13 @@ def check_area_at_all(total: Floats | Ints) -> None:
         )
 
 
-def _frames(owners: Ints, normals: Floats, n: int) -> Floats:
-    """Return frames by the second moments of normals, given times the roots of their weights."""
-    moments = np.stack(
-        [
-            np.bincount(owners, normals[:, i] * normals[:, j], minlength=n)
-            for i in range(3)
-            for j in range(3)
-        ],
-        axis=1,
-    ).reshape(n, 3, 3)
-    axes = np.linalg.eigh(moments)[1]
-    first, normal = axes[:, :, 1], axes[:, :, 2]
-    return np.stack([first, np.cross(normal, first), normal], axis=1)
+def main_normals(owners: Ints, normals: Floats, n: int) -> Floats:
+    """Return the main axes (n, 3) of second moments of normals, times the roots of their weights.
+
+    Their signs say nothing.
+    """
+    moments = [np.bincount(owners, x * y, n) for x in normals.T for y in normals.T]
+    return np.asarray(np.linalg.eigh(np.stack(moments, axis=1).reshape(n, 3, 3))[1][:, :, 2])
 
 
 def outward(frames: Floats, points: Floats, outer: OrientedTriangles) -> Floats:
