@@ -15,7 +15,7 @@ from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_positive, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.operators._held import Loose, by_columns, columns, factorised, kept
+from spectra_kit.operators._held import DirichletProblem, Kernel, columns, factorised, latest
 from spectra_kit.operators.laplacian import Laplacian
 
 # Of these, an exponential is off by at most 1e-10: see `heat_weights`.
@@ -80,14 +80,11 @@ def diffuse(laplacian: Laplacian, field: ArrayLike, time: float) -> Floats:
     Notes
     -----
     Of any operator, at any time, the error is at most 1e-10 of the field, in the norm by mass, and
-    rounding. Means by mass stay what they were, and what oscillates infinitely fast is gone
-    (L-stable). Where no weight is negative, exact heat stays between the least and the greatest
-    value of the field, and so does this, but for that error.
+    rounding. Means by mass stay, and what oscillates infinitely fast is gone (L-stable).
 
-    A polynomial in ``B = (M + s L)^-1 M`` interpolates ``exp(-t M^-1 L)`` in the Chebyshev points
-    of [0, 1], where eigenvalues of B lie (Andersson, *Approximation of e^-x by rational functions
-    with concentrated negative poles*, Journal of Approximation Theory 32, 1981): one factor, kept
-    for the same time, and 24 solves.
+    A polynomial in ``B = (M + s L)^-1 M`` interpolates ``exp(-t M^-1 L)`` in Chebyshev points
+    (Andersson, *Approximation of e^-x by rational functions with concentrated negative poles*,
+    Journal of Approximation Theory 32, 1981): one factor, kept for the same time, and 24 solves.
 
     Examples
     --------
@@ -98,42 +95,37 @@ def diffuse(laplacian: Laplacian, field: ArrayLike, time: float) -> Floats:
     >>> bool(abs(laplacian.mass @ (later - field)) < 1e-12), bool(later.std() < field.std())
     (True, True)
     """
-    initial = columns("field", field, laplacian.n)
-    return by_columns(initial, kept(laplacian, HeatFlow, check_positive("time", time)).after)
+    flow = latest(laplacian, HeatFlow, check_positive("time", time))
+    return flow.after(columns("field", field, laplacian.n))
 
 
 class HeatFlow:
     """``exp(-t M^-1 L)`` for one time."""
 
     def __init__(self, laplacian: Laplacian, time: float) -> None:
-        self._loose, self._weights = Loose(laplacian), laplacian.mass / (_STEP * time)
+        self._kernel, self._weights = Kernel(laplacian), laplacian.mass / (_STEP * time)
         self._held = np.zeros(laplacian.n, dtype=bool)
         self._held[laplacian.fixed] = True
         try:
             self._factor = factorised(laplacian, -1 / (_STEP * time), self._held)
-        except InvalidInputError as error:
-            raise InvalidInputError(
-                "time",
-                "leave something of the heat but its mean on each component",
-                f"{time:g} ({error.got})",
-                advice="shorten it",
-            ) from error
+        except InvalidInputError:  # beside L, the mass over the time is rounding
+            DirichletProblem(laplacian, laplacian.fixed)  # which refuses what is not definite
+            self._factor = None
 
-    def after(self, fields: Floats) -> Floats:
-        """Return what becomes of each field (n,)."""
-        flat = np.stack([self._loose.means(f) for f in fields])
-        last = np.where(self._held, 0.0, fields - flat)
-        now = 2 * self._implicit(last) - last
-        weights = heat_weights(_SOLVES, _STEP)
-        found = weights[0] * last + weights[1] * now
-        for weight in weights[2:]:  # T_(k+1) = 2 y T_k - T_(k-1), y = 2 B - 1
-            last, now = now, 4 * self._implicit(now) - 2 * now - last
+    def after(self, field: Floats) -> Floats:
+        """Return what becomes of a field (n,) or (n, c)."""
+        flat = self._kernel.means(field)
+        if self._factor is None:
+            return flat
+        weights = self._weights.reshape(-1, *[1] * (field.ndim - 1))
+        last = np.where(self._held.reshape(weights.shape), 0.0, field - flat)
+        now = 2 * self._factor.solve(weights * last) - last
+        c = heat_weights(_SOLVES, _STEP)
+        found = c[0] * last + c[1] * now
+        for weight in c[2:]:  # T_(k+1) = 2 y T_k - T_(k-1), y = 2 B - 1
+            last, now = now, 4 * self._factor.solve(weights * now) - 2 * now - last
             found += weight * now
-        return np.stack([f - self._loose.means(f) for f in found]) + flat
-
-    def _implicit(self, fields: Floats) -> Floats:
-        """Return B u, of an implicit Euler step."""
-        return np.ascontiguousarray(self._factor.solve((self._weights * fields).T).T)
+        return np.asarray(found - self._kernel.means(found) + flat)
 
 
 @cache
