@@ -51,17 +51,17 @@ def smooth(
         Delaunay triangles: ripples six edges long are halved, shorter ones fade, longer ones stay.
     steps : int, default 1
         Implicit steps that this takes; each makes the Laplacian of what the last one left. A ripple
-        that is a mode of eigenvalue lambda is divided by ``(1 + lambda time / steps)^steps``, which
-        tends to the ``exp(lambda time)`` of the flow.
+        of eigenvalue lambda is divided by ``(1 + lambda time / steps)^steps``.
     fixed : array_like of int, or of bool and shape (n,), default ()
         Points that stay where they are.
     boundary : {"held", "free"}, default "held"
         Whether points on the boundary stay, too. A free one shrinks. Of a cloud, those that
         `intrinsic_delaunay` finds, about every other; the ones between draw in a little.
     volume : {"kept", "free"}, default "kept"
-        Whether, after each step, the points of closed parts of a mesh move out along their normals,
-        all by the same way, until the part encloses the volume that it had. (Points on a closed
-        part that are `fixed` do not.) Clouds enclose none.
+        Whether, after each step, the points of closed parts of a mesh that are not `fixed` move out
+        along their normals, all by the same way, until the part encloses the volume that it had:
+        the flow of Huisken, *The Volume Preserving Mean Curvature Flow*, J. reine angew. Math.
+        1987.
 
     Returns
     -------
@@ -76,12 +76,6 @@ def smooth(
     See Also
     --------
     spectra_kit.eigen.low_pass : The same by the lowest modes alone.
-
-    Notes
-    -----
-    With volumes kept it is the flow of Huisken, *The Volume Preserving Mean Curvature Flow*, J.
-    reine angew. Math. 1987, by the mean curvature less its mean. Scaling a part back, as Desbrun et
-    al. do, would lengthen a thin rod as much as it was thinned.
 
     Examples
     --------

@@ -60,9 +60,9 @@ def tangent_gradient(
 
     Notes
     -----
-    The gradient at a point is the mean of those of the linear functions on its triangles, by their
-    areas, projected to the plane whose normal is the main axis of their normals' second moments:
-    signs of normals cancel. Linear functions on a plane get their exact gradients.
+    The gradient at a point is the mean of those on its triangles, by their areas, projected to the
+    plane whose normal is the main axis of the second moments of theirs: signs of normals cancel.
+    Linear functions on a plane get their exact gradients.
 
     Examples
     --------
@@ -95,7 +95,7 @@ def gradient(geometry: Geometry, values: ArrayLike, *, n_neighbors: int = 30) ->
     -------
     ndarray of shape (n, 3)
         Tangent to the surface, in the unit of `values` over length; the mean over the triangles of
-        each point. That of each triangle is `IntrinsicTriangulation.gradient`.
+        each point, of which `IntrinsicTriangulation.gradient` has each.
 
     Examples
     --------
@@ -126,9 +126,9 @@ def divergence(geometry: Geometry, vectors: ArrayLike, *, n_neighbors: int = 30)
     Returns
     -------
     ndarray of shape (n,)
-        In the unit of `vectors` over length. The mass is a third of the area of the triangles of
-        each point: for any f, ``mass @ (f * divergence)`` is ``-mass @ (gradient(f) *
-        vectors).sum(1)``. So what flows out through a boundary counts, too, at its points.
+        In the unit of `vectors` over length: with a third of the area of the triangles of each
+        point as mass, ``mass @ (f * divergence)`` is ``-mass @ (gradient(f) * vectors).sum(1)``. So
+        what flows out through a boundary counts, too, at its points.
 
     Notes
     -----
@@ -177,19 +177,12 @@ def _tangent(
     if oriented:
         frames = outward(frames, points, oriented_triangles(geometry, n_neighbors=n_neighbors))
     # The slope of the hat function of a corner, times the area, is half the side facing it, turned.
-    normals = doubled / (2 * areas[:, None])
-    rows, columns, slopes = [], [], []
-    for i in range(3):
-        side = points[faces[:, (i + 2) % 3]] - points[faces[:, (i + 1) % 3]]
-        share: Floats = np.cross(normals, side) / (2 * total[owners, None])
-        rows.append(owners)
-        columns.append(faces[:, i])
-        slopes.append(np.einsum("tar,tr->at", frames[owners, :2], share) / unit)
-    where = np.concatenate(rows), np.concatenate(columns)
-    x, y = (
-        sparse.csr_array((np.concatenate(values), where), shape=(n, n))
-        for values in zip(*slopes, strict=True)
-    )
+    corners = points[faces]
+    sides = np.roll(corners, 1, axis=1) - np.roll(corners, -1, axis=1)
+    turned = np.cross((doubled / (2 * areas * 2 * total[owners])[:, None])[:, None], sides)
+    slopes = np.einsum("tar,tcr->atc", frames[owners, :2], turned) / unit
+    where = np.repeat(owners, 3), faces.ravel()
+    x, y = (sparse.csr_array((part.ravel(), where), shape=(n, n)) for part in slopes)
     return TangentGradient(frames, x, y), np.asarray(total, dtype=np.float64)
 
 
