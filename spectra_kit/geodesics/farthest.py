@@ -21,6 +21,10 @@ Source = int | FacePoint
 def farthest_point_sampling(geometry: Geometry, count: int, *, start: int | None = None) -> Ints:
     """Pick points one after the other, each the farthest along the surface from those before.
 
+    Gonzalez, *Clustering to Minimize the Maximum Intercluster Distance*, Theoretical Computer
+    Science 38, 1985: no point is farther from the nearest of them than twice what the best choice
+    of as many could do.
+
     Parameters
     ----------
     geometry : TriangleMesh or PointCloud
@@ -33,17 +37,12 @@ def farthest_point_sampling(geometry: Geometry, count: int, *, start: int | None
     Returns
     -------
     ndarray of shape (count,)
-        Indices, in the order in which they were picked. A component without any comes first.
+        Indices, in the order in which they were picked, by distances as of `geodesic_distance`. A
+        component without any comes first.
 
     See Also
     --------
     spectra_kit.features.farthest_points : By a distance that a spectrum has, which is quicker.
-
-    Notes
-    -----
-    Gonzalez, *Clustering to Minimize the Maximum Intercluster Distance*, Theoretical Computer
-    Science 38, 1985: no point is farther from the nearest of them than twice what the best choice
-    of as many could do. Distances are those of `geodesic_distance`.
 
     Examples
     --------

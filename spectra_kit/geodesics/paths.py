@@ -28,8 +28,7 @@ class SurfacePath(Rebuilt):
     points : ndarray of shape (p, 3)
         Where it begins, crosses edges, bends, and ends; in the unit of the mesh.
     faces : ndarray of shape (p,)
-        A face that holds each point and the segment from it to the next; for the last point, the
-        segment before it.
+        A face that holds each point and the segment that begins there; for the last, that before.
     barycentric : ndarray of shape (p, 3)
         Weights of the corners of that face at the point.
 
@@ -38,8 +37,6 @@ class SurfacePath(Rebuilt):
     >>> import spectra_kit as sk
     >>> mesh = sk.geometry.sphere(subdivisions=3).geometry
     >>> path = sk.geodesic_path(mesh, 0, 100)
-    >>> path
-    SurfacePath(... points, length=...)
     >>> values = (path.barycentric * mesh.points[mesh.faces[path.faces], 2]).sum(axis=1)
     >>> bool(abs(values - path.points[:, 2]).max() < 1e-12)
     True
@@ -180,10 +177,8 @@ def geodesic_path(
     ----------
     mesh : TriangleMesh
         Any topology, as of `exact_distances`.
-    source : int or FacePoint
-        A vertex, or a point of a face, where it begins.
-    target : int or FacePoint
-        Where it ends.
+    source, target : int or FacePoint
+        Vertices, or points of faces, where it begins and ends.
 
     Returns
     -------
@@ -210,8 +205,6 @@ def geodesic_path(
     >>> path = sk.geodesic_path(roof, 0, 5)
     >>> bool(abs(path.length**2 - (4**2 + 2 * 4**2)) < 1e-12)
     True
-    >>> path.points[-2]
-    array([2.666..., 2.666..., 1.333...])
     """
     (begin,), (end,) = (
         points_named(name, point, mesh) for name, point in (("source", source), ("target", target))

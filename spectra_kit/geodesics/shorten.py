@@ -20,31 +20,24 @@ from spectra_kit.geometry.shapes import box_unit
 def shortened_path(mesh: TriangleMesh, vertices: ArrayLike, *, closed: bool = False) -> SurfacePath:
     """Pull a path along edges tight, without lifting it over what it winds around.
 
+    Sharp and Crane, *You can find geodesic paths in triangle meshes by just flipping edges*, ACM
+    Transactions on Graphics 39 (6), 2020; by potpourri3d, whose points are located on faces here.
+
     Parameters
     ----------
     mesh : TriangleMesh
         Manifold, and orientable.
     vertices : array_like of shape (m,), integers
-        What the path passes, one after the other; in between it takes the shortest way along
-        edges. Two or more; three or more if it is closed.
+        What the path passes, one after the other, by the shortest ways along edges. Two or more;
+        three or more if it is closed.
     closed : bool, default False
-        Go on from the last to the first, which may be named again: a loop, with no ends. The
-        first point of the result is its last again.
+        Go on from the last to the first, which may be named again: a loop, with no ends.
 
     Returns
     -------
     SurfacePath
-        Locally shortest: no small change makes it shorter. A loop that winds around nothing
-        becomes an edge, walked there and back.
-
-    See Also
-    --------
-    geodesic_path : The shortest of all.
-
-    Notes
-    -----
-    Sharp and Crane, *You can find geodesic paths in triangle meshes by just flipping edges*, ACM
-    Transactions on Graphics 39 (6), 2020; by potpourri3d, whose points are located on faces here.
+        Locally shortest: no small change makes it shorter. Of a loop, the first point is its last
+        again; one that winds around nothing becomes an edge, walked there and back.
 
     Examples
     --------

@@ -27,6 +27,10 @@ _CANCELLED = 1e-9  # of a step along a curve
 def signed_distance(geometry: Geometry, curves: ArrayLike | Sequence[ArrayLike]) -> Floats:
     """Measure how far all points are from oriented curves, and on which side.
 
+    Feng and Crane, *A Heat Method for Generalized Signed Distance*, ACM TOG 43(4), 2024: normals of
+    the curves are carried away by `VectorHeat`, and the distance is the function whose slopes along
+    the edges are nearest to the unit vectors, with the weights of the Laplacian.
+
     Parameters
     ----------
     geometry : TriangleMesh or PointCloud
@@ -41,12 +45,6 @@ def signed_distance(geometry: Geometry, curves: ArrayLike | Sequence[ArrayLike])
         In length, zero on the curves; negative to the left of them, seen from outside: inside of
         what is walked around counter-clockwise. Around the ends of an open curve the sign changes
         gradually. NaN on components without a curve.
-
-    Notes
-    -----
-    Feng and Crane, *A Heat Method for Generalized Signed Distance*, ACM TOG 43(4), 2024: normals of
-    the curves are carried away by `VectorHeat`, and the distance is the function whose slopes along
-    the edges are nearest to the unit vectors, with the weights of the Laplacian.
 
     Examples
     --------

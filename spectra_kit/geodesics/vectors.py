@@ -37,6 +37,10 @@ Places = int | FacePoint | Sequence[int | FacePoint] | NDArray[np.integer | np.b
 class VectorHeat:
     """Vectors and values carried from any places to all points; factors are kept for the next.
 
+    Sharp, Soliman and Crane, *The Vector Heat Method*, ACM TOG 38(3), 2019, with the
+    `connection_laplacian`: after a short time, heat that carries vectors is dominated by what came
+    along the shortest path, whose direction it has. Lengths are carried as values are.
+
     Parameters
     ----------
     geometry : TriangleMesh or PointCloud
@@ -59,18 +63,11 @@ class VectorHeat:
     DoubtfulDistanceWarning
         If points are so many edges away that no heat arrives there: their vectors are NaN.
 
-    Notes
-    -----
-    Sharp, Soliman and Crane, *The Vector Heat Method*, ACM TOG 38(3), 2019, with the
-    `connection_laplacian`: after a short time, heat that carries vectors is dominated by what came
-    along the shortest path, whose direction it has. Lengths are carried as values are.
-
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit.geodesics import VectorHeat
-    >>> from spectra_kit.geometry import rectangle
-    >>> heat = VectorHeat(rectangle(n=200).geometry)
+    >>> import spectra_kit as sk
+    >>> heat = sk.geodesics.VectorHeat(sk.geometry.rectangle(n=200).geometry)
     >>> bool(np.allclose(heat.transport(0, [[3, 4, 0]]), [3, 4, 0]))
     True
     """
@@ -238,6 +235,9 @@ def transport_vectors(geometry: Geometry, sources: Places, vectors: ArrayLike) -
 def smoothest_field(geometry: Geometry) -> Floats:
     """Find the tangent vector field that turns and changes least.
 
+    Knöppel, Crane, Pinkall and Schröder, *Globally Optimal Direction Fields*, ACM TOG 32(4), 2013,
+    for fields of one direction.
+
     Parameters
     ----------
     geometry : TriangleMesh or PointCloud
@@ -249,18 +249,12 @@ def smoothest_field(geometry: Geometry) -> Floats:
         Tangent vectors of mean square 1 on each component: its lowest mode, by
         `connection_laplacian`. Which one is arbitrary where several are as smooth.
 
-    Notes
-    -----
-    Knöppel, Crane, Pinkall and Schröder, *Globally Optimal Direction Fields*, ACM TOG 32(4), 2013,
-    for fields of one direction.
-
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit.geodesics import smoothest_field
-    >>> from spectra_kit.geometry import rectangle
-    >>> lengths = np.linalg.norm(smoothest_field(rectangle(n=200).geometry), axis=1)
-    >>> bool(np.allclose(lengths, 1))
+    >>> import spectra_kit as sk
+    >>> field = sk.geodesics.smoothest_field(sk.geometry.rectangle(n=200).geometry)
+    >>> bool(np.allclose(np.linalg.norm(field, axis=1), 1))
     True
     """
     triangulation, frames = intrinsic_delaunay(geometry), tangent_frames(geometry)

@@ -86,20 +86,16 @@ def tangent_frames(geometry: Geometry, *, n_neighbors: int = 30) -> TangentFrame
     Returns
     -------
     TangentFrames
-        Their axes depend on the normals alone, so that those of a flat sheet are parallel.
-
-    Notes
-    -----
-    The normal is the mean of those of the triangles by their angles at the point, windings made to
-    agree; where they cannot, or three faces meet, the main axis of their second moments. Of a
-    cloud, the triangles are those of the star of the point, and sides say nothing.
+        Normals are the means of those of the triangles by their angles at the point, windings made
+        to agree; where they cannot, or three faces meet, the main axes of second moments. Of a
+        cloud, sides say nothing. Axes depend on the normals alone: on a flat sheet they are
+        parallel.
 
     Examples
     --------
-    >>> from spectra_kit.geometry import sphere
-    >>> from spectra_kit.operators import tangent_frames
-    >>> ball = sphere(subdivisions=3).geometry
-    >>> normals = tangent_frames(ball).axes[:, 2]
+    >>> import spectra_kit as sk
+    >>> ball = sk.geometry.sphere(subdivisions=3).geometry
+    >>> normals = sk.operators.tangent_frames(ball).axes[:, 2]
     >>> bool(((normals * ball.points).sum(axis=1) > 0.999).all())
     True
     """
