@@ -255,14 +255,15 @@ def _turned(
     first, found = side, []
     while True:
         found.append((int(side), way))
-        edge = _before(side) if way > 0 else side
+        edge = side - side % 3 + (side + 2) % 3 if way > 0 else side  # of the face, at v
         other = soup.around[edge]
         if other == edge:
             return found, False
         if soup.around[other] != edge:
             raise _no_fan(name, v, "an edge of more than two faces")
         # It either begins at v, so that the turn enters by it, or ends there.
-        side, way = (other, 1) if soup.tails[other] == v else (_after(other), -1)
+        after = other - other % 3 + (other + 1) % 3
+        side, way = (other, 1) if soup.tails[other] == v else (after, -1)
         if side == first:
             return found, True
 
@@ -274,14 +275,6 @@ def _no_fan(name: str, v: int, got: str) -> InvalidInputError:
         f"vertex {v} with {got}, so that directions have no order",
         advice="take a point beside it",
     )
-
-
-def _after(side: int) -> int:
-    return side - side % 3 + (side + 1) % 3
-
-
-def _before(side: int) -> int:
-    return side - side % 3 + (side + 2) % 3
 
 
 def _axes(mesh: TriangleMesh, fan: Fan) -> Floats:

@@ -14,6 +14,7 @@ from scipy import sparse
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_positive, real_array
+from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.operators._held import DirichletProblem, Kernel, columns, factorised, latest
 from spectra_kit.operators.laplacian import Laplacian
@@ -104,11 +105,11 @@ class HeatFlow:
         self._kernel, self._weights = Kernel(laplacian), laplacian.mass / (_STEP * time)
         self._held = np.zeros(laplacian.n, dtype=bool)
         self._held[laplacian.fixed] = True
+        self._factor: SparseLDL | None = None
         try:
             self._factor = factorised(laplacian, -1 / (_STEP * time), self._held)
         except InvalidInputError:  # beside L, the mass over the time is rounding
             DirichletProblem(laplacian, laplacian.fixed)  # which refuses what is not definite
-            self._factor = None
 
     def after(self, field: Floats) -> Floats:
         """Return what becomes of a field (n,) or (n, c)."""

@@ -14,6 +14,7 @@ from spectra_kit._core.validate import check_count, check_positive
 from spectra_kit._core.warn import hearing
 from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.frames import unit_vectors
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
 from spectra_kit.geometry.winding import sides_of
 from spectra_kit.operators.checks import unit_of, units_of
@@ -92,19 +93,15 @@ def smooth(
     """
     unit = unit_of(geometry)
     check_count("steps", steps, low=1)
-    chosen = as_indices("fixed", fixed, geometry.n)
     triangulation = intrinsic_delaunay(geometry)
-    laplacian, rim = triangulation.laplacian, triangulation.boundary
+    laplacian = triangulation.laplacian
     if time is None:
         time = float(triangulation.lengths.mean()) ** 2
     step = check_positive("time", time) / steps / unit**2
-    if isinstance(geometry, TriangleMesh):
-        rim = geometry.boundary_vertices
-    held = np.zeros(geometry.n, dtype=bool)
-    held[chosen] = True
+    held, parts = np.zeros(geometry.n, dtype=bool), None
+    held[as_indices("fixed", fixed, geometry.n)] = True
     if boundary == "held":
-        held[rim] = True
-    parts = None
+        held[getattr(geometry, "boundary_vertices", triangulation.boundary)] = True
     if volume == "kept" and isinstance(geometry, TriangleMesh):
         parts = _closed_parts(geometry, held)
     for done in range(steps):
@@ -158,27 +155,23 @@ class _ClosedParts(NamedTuple):
         x = (points - middles[part]) / self.units
         a, b, c = np.moveaxis(x[self.faces], 1, 0)
         shares = np.repeat(np.cross(b - a, c - a) / 6, 3, axis=0).T
-        corners = self.faces.ravel()
-        slopes: Floats = np.column_stack([1.0 * np.bincount(corners, s, n) for s in shares])
-        volumes = np.bincount(part, np.einsum("nr,nr->n", x, slopes)) / 3
-        return volumes.astype(np.float64), slopes
+        slopes: Floats = np.column_stack([np.bincount(self.faces.ravel(), s, n) for s in shares])
+        return np.bincount(part, np.einsum("nr,nr->n", x, slopes)) / 3, slopes
 
     def restored(self, points: Floats) -> Floats:
         """Return points moved out along their normals, in each part as far as its volume asks."""
         volumes, slopes = self.measured(points)
-        lengths = np.linalg.norm(slopes, axis=1, keepdims=True)
-        normals = self.free * np.divide(slopes, lengths, np.zeros_like(slopes), where=lengths > 0)
-        way, kept = np.zeros(len(volumes)), self.volumes > 0
+        normals, way = self.free * unit_vectors(slopes), np.zeros(len(volumes))
         for _ in range(_NEWTON):
-            lost = np.where(kept, self.volumes - volumes, 0.0)
+            moved = points + way[self.part, None] * self.units * normals
+            volumes, slopes = self.measured(moved)
+            lost = np.where(self.volumes > 0, self.volumes - volumes, 0.0)
             if (np.abs(lost) <= _ROUNDING * self.volumes).all():
-                return np.asarray(points + way[self.part, None] * self.units * normals)
+                return np.asarray(moved)
             rate = np.bincount(self.part, np.einsum("nr,nr->n", normals, slopes))
             if not (rate[lost != 0] > 0).all():
                 break
             way += np.divide(lost, rate, np.zeros_like(way), where=lost != 0)
-            moved = points + way[self.part, None] * self.units * normals
-            volumes, slopes = self.measured(moved)
         raise _too_long()
 
 
