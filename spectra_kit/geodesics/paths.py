@@ -158,8 +158,8 @@ class GeodesicPaths:
                 f"{target!r}, which is on another component",
                 advice="`mesh.component_labels` tells them apart",
             )
-        faces, ends, count, *_ = backtrace(self._known.soup, self._known.front, end)
-        if count < 0:
+        faces, ends, count, side, _ = backtrace(self._known.soup, self._known.front, end)
+        if count and side < 0:
             raise ConvergenceError(
                 f"the path to {target!r} is lost in triangles that are extremely thin; its length"
                 " is known: remesh to see where it goes"
