@@ -164,15 +164,9 @@ def check_sources(
             expected = f"belong to the geometry of {geometry.n} points"
             raise InvalidInputError("sources", expected, f"those of one of {sources.n}")
         return sources
-    named = named_sources(sources, geometry)
-    if not named:
-        raise InvalidInputError("sources", "name at least one source", "none")
-    emitted = np.ones(len(named)) if weights is None else _check_weights(weights, len(named))
-    rows = [_spread(source, geometry) for source in named]
-    every = np.concatenate([row[0] for row in rows])
-    shares = np.concatenate([w * row[1] for w, row in zip(emitted, rows, strict=True)])
-    lengths = np.concatenate([row[2] for row in rows])
-    _check_used("sources", every, geometry)
+    owners, every, shares, lengths = spread(sources, geometry)
+    if weights is not None:
+        shares = shares * _check_weights(weights, int(owners[-1]) + 1)[owners]
     vertices, index = np.unique(every, return_inverse=True)
     offsets = np.full(len(vertices), np.inf)
     np.minimum.at(offsets, index, lengths)
@@ -253,6 +247,18 @@ def points_named(name: str, points: Any, mesh: TriangleMesh) -> list[int | FaceP
                 named[i] = int(corners[np.argmax(point.barycentric)])
     _check_used(name, np.array([p for p in named if not isinstance(p, FacePoint)], int), mesh)
     return named
+
+
+def spread(sources: Any, geometry: HasPoints) -> tuple[Ints, Ints, Floats, Floats]:
+    """Return which source heats which vertices, what share of it that is, and how far it is."""
+    named = named_sources(sources, geometry)
+    if not named:
+        raise InvalidInputError("sources", "name at least one source", "none")
+    rows = [_spread(source, geometry) for source in named]
+    owners = np.repeat(np.arange(len(rows)), [len(row[0]) for row in rows])
+    points, shares, lengths = (np.concatenate(column) for column in zip(*rows, strict=True))
+    _check_used("sources", points, geometry)
+    return owners, points, shares, lengths
 
 
 def _check_used(name: str, vertices: Ints, geometry: HasPoints) -> None:

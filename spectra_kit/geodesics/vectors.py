@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, check_positive, quantity, real_array
 from spectra_kit._core.warn import warn
 from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.eigen import eigensolve
 from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.heat_step import HeatStep
-from spectra_kit.geodesics.sources import FacePoint, check_sources, named_sources
+from spectra_kit.geodesics.sources import FacePoint, spread
 from spectra_kit.geometry import Geometry
 from spectra_kit.geometry.frames import unit_vectors
 from spectra_kit.operators import intrinsic_delaunay, tangent_frames
@@ -94,7 +94,7 @@ class VectorHeat:
         planes there: what stands on them is left out. Each point has that of the nearest place, but
         for a blend along the lines between two of them.
         """
-        owners, points, shares = self._spread(sources)
+        owners, points, shares, _ = spread(sources, self.geometry)
         given = of_shape("vectors", vectors, (int(owners[-1]) + 1, 3))
         along = np.einsum("sra,sa->sr", self.frames.axes[points, :2], given[owners])
         lengths = np.bincount(owners, shares * np.hypot(*along.T))
@@ -118,7 +118,7 @@ class VectorHeat:
         `values` (s,) or (s, c) become (n,) or (n, c). Between places of about the same distance
         they blend, and none leaves the range of those given.
         """
-        owners, points, shares = self._spread(sources)
+        owners, points, shares, _ = spread(sources, self.geometry)
         given, count, n = real_array("values", values), int(owners[-1]) + 1, self.triangulation.n
         if given.ndim not in (1, 2) or len(given) != count:
             raise InvalidInputError("values", f"have shape ({count},) or ({count}, c)", given.shape)
@@ -189,16 +189,6 @@ class VectorHeat:
         laplacian, unit = self.triangulation.laplacian, self._unit
         points, mass = laplacian.points / unit[:, None], laplacian.mass / unit**2
         return HeatStep(laplacian.stiffness, mass, points, duration=self._time, direct=True)
-
-    def _spread(self, sources: Places) -> tuple[Ints, Ints, Floats]:
-        """Return which place heats which vertices, and its shares of one."""
-        places = named_sources(sources, self.geometry)
-        if not places:
-            raise InvalidInputError("sources", "name at least one source", "none")
-        found = [check_sources(place, self.geometry) for place in places]
-        owners = np.repeat(np.arange(len(found)), [len(one.vertices) for one in found])
-        points = np.concatenate([one.vertices for one in found])
-        return owners, points, np.concatenate([one.heat for one in found])
 
 
 @checked

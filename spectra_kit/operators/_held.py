@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,9 +15,7 @@ from spectra_kit._sparse.grounded import held_at_zero
 from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit._sparse.pencil import Pencil
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
-
-if TYPE_CHECKING:
-    from spectra_kit.operators.laplacian import Laplacian
+from spectra_kit.operators.laplacian import Laplacian, as_indices
 
 Made = TypeVar("Made")
 _SUM = 1e-9  # share of the magnitudes below which a sum is rounding
@@ -28,7 +26,7 @@ def solution(
     laplacian: Laplacian,
     name: str,
     rhs: ArrayLike | None,
-    fixed: Ints | None,
+    fixed: ArrayLike | None,
     values: ArrayLike | None,
 ) -> Floats:
     """Return what `Laplacian.solve` does, of a right-hand side by the `name` of an argument."""
@@ -36,7 +34,7 @@ def solution(
         raise InvalidInputError("values", "come with the points that have them, `fixed`")
     if fixed is None and rhs is None:
         raise InvalidInputError(name, "be given where no point is held", None)
-    at = np.empty(0, dtype=np.int64) if fixed is None else fixed
+    at = np.empty(0, np.int64) if fixed is None else as_indices("fixed", fixed, laplacian.n)
     if fixed is not None and (at.ndim != 1 or len(np.unique(at)) < max(at.size, 1)):
         raise InvalidInputError("fixed", "be a vector of points, each once", f"shape {at.shape}")
     given = real_array("values", 0.0 if values is None else values)

@@ -16,7 +16,14 @@ from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_positive, real_array
 from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.operators._held import DirichletProblem, Kernel, columns, factorised, latest
+from spectra_kit.operators._held import (
+    DirichletProblem,
+    Kernel,
+    columns,
+    factorised,
+    latest,
+    solution,
+)
 from spectra_kit.operators.laplacian import Laplacian
 
 # Of these, an exponential is off by at most 1e-10: see `heat_weights`.
@@ -57,7 +64,7 @@ def poisson(
     True
     """
     f = columns("density", density, laplacian.n)
-    return laplacian._solution("density", (laplacian.mass * f.T).T, fixed, values)
+    return solution(laplacian, "density", (laplacian.mass * f.T).T, fixed, values)
 
 
 @checked

@@ -195,14 +195,12 @@ class Laplacian(Rebuilt):
     ) -> Floats:
         """Return the function u with ``L u = rhs``, and with given values at some points.
 
-        Without a right-hand side it is harmonic: colours, labels or displacements that are known
-        at a few points spread over all. Where no weight is negative, as of `robust_laplacian` and
-        `delaunay_laplacian`, it stays between the least and the greatest of them.
-
         Parameters
         ----------
         rhs : array_like of shape (n,) or (n, c), optional
-            Integrated: of a density f, ``mass * f``, as `poisson` has it.
+            Integrated: of a density f, ``mass * f``, as `poisson` has it. Without one u is
+            harmonic: what is known at a few points spreads over all, between the least and the
+            greatest of it where no weight is negative, as of `robust_laplacian`.
         fixed : array_like of int of shape (m,), or mask of shape (n,), optional
             Points at which u is given. At the operator's own, if they are none of these, u is zero.
         values : float, or array_like of shape (m,) or (m, c), optional
@@ -213,11 +211,7 @@ class Laplacian(Rebuilt):
         ndarray of shape (n,) or (n, c)
             On components without a fixed point or potential u has mean zero by mass, and `rhs` must
             sum to zero; without one, a point must be fixed. Each column is what it would be alone.
-
-        Notes
-        -----
-        The factor is kept until fixed points are others: the next right-hand side, or the next
-        values at these points, take a tenth of the time or less.
+            The factor is kept for as long as fixed points are the same.
 
         Examples
         --------
@@ -228,16 +222,9 @@ class Laplacian(Rebuilt):
         >>> bool(abs(u - x).max() < 1e-12)  # linear functions are harmonic
         True
         """
-        return self._solution("rhs", rhs, fixed, values)
-
-    def _solution(
-        self, name: str, rhs: ArrayLike | None, fixed: ArrayLike | None, values: ArrayLike | None
-    ) -> Floats:
-        """Return the same, of a right-hand side that users know by this name."""
         from spectra_kit.operators._held import solution
 
-        at = None if fixed is None else as_indices("fixed", fixed, self.n)
-        return solution(self, name, rhs, at, values)
+        return solution(self, "rhs", rhs, fixed, values)
 
     def restricted(self, indices: Ints) -> Laplacian:
         """Return the operator on some points alone, the others held at zero.
