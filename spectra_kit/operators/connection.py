@@ -17,11 +17,10 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.frames import frames_of, unit_vectors
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.geometry.winding import sides_of, turn, wound_against
-from spectra_kit.operators.checks import check_cloud_usable, check_faces_usable, of_shape, unit_of
+from spectra_kit.operators.checks import of_shape, unit_of
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.operators.laplacian import Laplacian
-from spectra_kit.operators.local_delaunay import local_triangles
-from spectra_kit.operators.tangent import check_area_at_all, main_normals
+from spectra_kit.operators.tangent import check_area_at_all, main_normals, stars
 
 _FLAT = 1e-8  # sine of a corner below which its triangle has no normal
 _CANCEL = 1e-6  # share of a sum of normals that is left where sheets lie back to back
@@ -100,16 +99,11 @@ def tangent_frames(geometry: Geometry, *, n_neighbors: int = 30) -> TangentFrame
     True
     """
     points, n = geometry.points / unit_of(geometry), geometry.n
-    doubtful, corners = np.zeros(n, dtype=bool), [0, 1, 2]
+    turned, doubtful = None, np.zeros(n, dtype=bool)
     if isinstance(geometry, TriangleMesh):
-        check_faces_usable(geometry)
-        faces, doubtful, _ = _agreed(geometry)
-    else:
-        n_neighbors = check_cloud_usable(geometry, n_neighbors)
-        faces = local_triangles(points, n_neighbors)[0].astype(np.int64)
-        corners = [0]  # that of the point whose star has the triangle
-    owners = np.concatenate([faces[:, c] for c in corners])
-    weighted = np.concatenate([_corner_normals(points, np.roll(faces, -c, 1)) for c in corners])
+        turned, doubtful, _ = _agreed(geometry)
+    faces = stars(geometry, points, n_neighbors, turned)
+    owners, weighted = faces[:, 0], _corner_normals(points, faces)
     angles = np.linalg.norm(weighted, axis=1)
     total = np.bincount(owners, angles, minlength=n)
     check_area_at_all(total)

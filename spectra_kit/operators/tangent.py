@@ -154,18 +154,10 @@ def _tangent(
     geometry: Geometry, n_neighbors: int, oriented: bool = False
 ) -> tuple[TangentGradient, Floats]:
     """Return them with the area of the triangles of each point, (n,), in some unit."""
-    unit = unit_of(geometry)
+    unit, n = unit_of(geometry), geometry.n
     points = geometry.points / unit
-    n = geometry.n
-    if isinstance(geometry, TriangleMesh):
-        check_faces_usable(geometry)
-        faces = geometry.faces
-        owners = faces.T.ravel()
-        faces = np.concatenate([faces] * 3)  # each triangle counts at all its corners
-    else:
-        n_neighbors = check_cloud_usable(geometry, n_neighbors)
-        faces = local_triangles(points, n_neighbors)[0].astype(np.int64)
-        owners = faces[:, 0]
+    faces = stars(geometry, points, n_neighbors)
+    owners = faces[:, 0]
     a, b, c = (points[faces[:, i]] for i in range(3))
     doubled: Floats = np.cross(b - a, c - a)
     areas = np.linalg.norm(doubled, axis=1) / 2
@@ -184,6 +176,19 @@ def _tangent(
     where = np.repeat(owners, 3), faces.ravel()
     x, y = (sparse.csr_array((part.ravel(), where), shape=(n, n)) for part in slopes)
     return TangentGradient(frames, x, y), np.asarray(total, dtype=np.float64)
+
+
+def stars(geometry: Geometry, points: Floats, n_neighbors: int, faces: Ints | None = None) -> Ints:
+    """Return the triangles (t, 3) at each point, their first corner: of a cloud its local ones.
+
+    Of a mesh all `faces`, its own or those wound otherwise, once for each corner.
+    """
+    if isinstance(geometry, TriangleMesh):
+        check_faces_usable(geometry)
+        corners = geometry.faces if faces is None else faces
+        return np.concatenate([np.roll(corners, -c, axis=1) for c in range(3)])
+    n_neighbors = check_cloud_usable(geometry, n_neighbors)
+    return local_triangles(points, n_neighbors)[0].astype(np.int64)
 
 
 def check_area_at_all(total: Floats | Ints) -> None:
