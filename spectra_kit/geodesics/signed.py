@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_indices
-from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics.vectors import VectorHeat
 from spectra_kit.geometry import Geometry
@@ -87,14 +86,9 @@ def signed_distance(geometry: Geometry, curves: ArrayLike | Sequence[ArrayLike])
     weights = triangulation.share / 2 * opposite_cotangents(triangulation.lengths)
     rise = slope * (weights * triangulation.lengths).ravel()
     flow = np.subtract(*(np.bincount(end, rise, geometry.n) for end in (j, i)), dtype=np.float64)
-    laplacian = triangulation.laplacian
-    labels, held = laplacian.component_labels, np.concatenate(chains)
-    free = np.setdiff1d(np.flatnonzero(np.isin(labels, labels[held])), held)
-    distance = np.full(geometry.n, np.nan)
-    distance[held] = 0.0
-    if len(free):
-        part = laplacian.restricted(free)
-        distance[free] = SparseLDL(part.stiffness).solve(flow[free])
+    held, labels = np.unique(np.concatenate(chains)), triangulation.laplacian.component_labels
+    distance = triangulation.laplacian.solve(flow, fixed=held)
+    distance[~np.isin(labels, labels[held])] = np.nan
     return distance
 
 
