@@ -212,7 +212,7 @@ def logarithmic_map(geometry: Geometry, source: int | FacePoint) -> LogarithmicM
     v, n = split.vertices[0], split.mesh.n
     known = propagated(split.mesh, np.array([v]), np.arange(n))
     fan = fan_of(known.soup, v, "source")
-    left = [backtrace(known.soup, known.front, v)[3:] for v in range(n)]
+    left = [backtrace(known.soup, known.front, w)[3:] for w in range(n)]
     sides, inside = (np.array(column) for column in zip(*left, strict=True))
     reached = np.flatnonzero(sides >= 0)
     place = np.zeros(3 * len(split.mesh.faces), dtype=np.int64)
@@ -279,10 +279,8 @@ def _no_fan(name: str, v: int, got: str) -> InvalidInputError:
 
 def _axes(mesh: TriangleMesh, fan: Fan) -> Floats:
     """Return the axes (2, 3) of the tangent plane, turned so that edges fit their angles best."""
-    faces, corner = mesh.faces[fan.sides // 3], fan.sides % 3
-    at, after, before = (
-        mesh.points[np.take_along_axis(faces, (corner[:, None] + i) % 3, 1)[:, 0]] for i in range(3)
-    )
+    rows, corner = fan.sides // 3, fan.sides % 3
+    at, after, before = (mesh.points[mesh.faces[rows, (corner + i) % 3]] for i in range(3))
     ways = np.stack([after - at, before - at])
     ways /= np.abs(ways).max()  # powers of a length in any unit are in range
     normal = (fan.forward * fan.angles) @ unit_vectors(np.cross(*ways))

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
 from spectra_kit._core.types import Bools, Floats, Ints
-from spectra_kit._core.validate import real_array
+from spectra_kit._core.validate import as_indices, real_array
 from spectra_kit._sparse.grounded import held_at_zero
 from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit._sparse.pencil import Pencil
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
-from spectra_kit.operators.laplacian import Laplacian, as_indices
+
+if TYPE_CHECKING:
+    from spectra_kit.operators.laplacian import Laplacian
 
 Made = TypeVar("Made")
 _SUM = 1e-9  # share of the magnitudes below which a sum is rounding

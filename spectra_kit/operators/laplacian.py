@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt, cached, frozen
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import check_indices, check_mass, check_points
+from spectra_kit._core.validate import as_indices, check_indices, check_mass, check_points
 from spectra_kit._sparse._checks import asymmetry
 from spectra_kit.errors import InvalidInputError
 
@@ -252,14 +252,6 @@ class Laplacian(Rebuilt):
             operator=self.operator,
             seconds=self.seconds,
         )
-
-
-def as_indices(name: str, values: ArrayLike, n: int) -> Ints:
-    """Return point indices, given as such or as a boolean mask of shape (n,)."""
-    array = np.asarray(values)
-    if array.dtype == bool and array.shape == (n,):
-        return np.flatnonzero(array)
-    return check_indices(name, array if array.size else array.astype(np.int64), n)
 
 
 def lumped_diagonal(mass: Any) -> ArrayLike:

@@ -10,7 +10,7 @@ from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Bools, Floats, Ints
-from spectra_kit._core.validate import check_count, check_positive
+from spectra_kit._core.validate import as_indices, check_count, check_positive
 from spectra_kit._core.warn import hearing
 from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.errors import InvalidInputError
@@ -19,7 +19,7 @@ from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
 from spectra_kit.geometry.winding import sides_of
 from spectra_kit.operators.checks import unit_of, units_of
 from spectra_kit.operators.intrinsic import intrinsic_delaunay
-from spectra_kit.operators.laplacian import Laplacian, as_indices
+from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.operators.oriented import oriented_triangles
 
 Kind = TypeVar("Kind", TriangleMesh, PointCloud)
