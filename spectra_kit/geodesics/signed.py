@@ -14,7 +14,7 @@ from spectra_kit._core.validate import check_indices
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics.vectors import VectorHeat
 from spectra_kit.geometry import Geometry
-from spectra_kit.geometry.frames import unit_vectors
+from spectra_kit.geometry.vectors import unit_vectors
 from spectra_kit.operators import oriented_triangles
 from spectra_kit.operators.tangent import outward
 from spectra_kit.operators.triangle_calculus import opposite_cotangents

@@ -20,7 +20,7 @@ from spectra_kit.geodesics.sources import FacePoint, points_named
 from spectra_kit.geodesics.splits import split_at
 from spectra_kit.geodesics.vectors import VectorHeat
 from spectra_kit.geometry import Geometry, TriangleMesh
-from spectra_kit.geometry.frames import frames_of, unit_vectors
+from spectra_kit.geometry.vectors import frames_of, unit_vectors
 from spectra_kit.operators.checks import of_shape
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.heat_step import HeatStep
 from spectra_kit.geodesics.sources import FacePoint, spread
 from spectra_kit.geometry import Geometry
-from spectra_kit.geometry.frames import unit_vectors
+from spectra_kit.geometry.vectors import sums, unit_vectors
 from spectra_kit.operators import intrinsic_delaunay, tangent_frames
 from spectra_kit.operators.checks import of_shape
 from spectra_kit.operators.connection import laplacian_along
@@ -153,8 +153,7 @@ class VectorHeat:
         steps = np.einsum("era,ea->er", axes[i, :2], chords)  # along the plane, as long as in space
         steps = unit_vectors(steps) * np.linalg.norm(chords, axis=1, keepdims=True)
         flow = (self._time * edges.data * lifted[j])[:, None] * steps
-        put: Floats = np.column_stack([np.bincount(i, part, n) for part in flow.T])
-        away = self._factor.solve(put.ravel()).reshape(n, 2)
+        away = self._factor.solve(sums(i, flow, n).ravel()).reshape(n, 2)
         away /= np.where(lifted > _FLOOR, lifted, np.nan)[:, None]
         start = np.zeros((n, 2, 2))
         start[vertex] = np.eye(2)

@@ -18,8 +18,8 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import quantity
 from spectra_kit._core.warn import warn
 from spectra_kit.errors import SplitSurfaceWarning
-from spectra_kit.geometry.frames import unit_vectors
 from spectra_kit.geometry.shapes import TriangleMesh, box_unit, distinct_rows, side_keys
+from spectra_kit.geometry.vectors import sums, unit_vectors
 
 #: What is told of one such vertex, and of several.
 HANGING = (
@@ -109,7 +109,7 @@ def seams(mesh: TriangleMesh) -> Seams | None:
     face, across = _sides(mesh, boundary)
     rounded = (points[ends] != points[first][place[ends]]).any(axis=(1, 2))
     rounded = np.bincount(line, rounded) > 0
-    total = np.column_stack([np.bincount(line, column) for column in across.T])
+    total = sums(line, across, line.max() + 1)
     two_sheets = np.linalg.norm(total, axis=1) > _ALIKE * np.bincount(line)
     on_others &= ~(rounded & two_sheets)[line]
     opened, inside = _hanging(lines[rest], face[rest], across[rest], *inner)

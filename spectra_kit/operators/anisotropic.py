@@ -13,9 +13,9 @@ from spectra_kit._core.clock import Clock
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_positive, quantity
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.frames import frames_of
 from spectra_kit.geometry.seams import warn_of_seams
 from spectra_kit.geometry.shapes import TriangleMesh
+from spectra_kit.geometry.vectors import frames_of
 from spectra_kit.operators.checks import check_faces_usable, of_shape, units_of
 from spectra_kit.operators.curvature import curvature
 from spectra_kit.operators.laplacian import Laplacian

@@ -14,8 +14,8 @@ from spectra_kit._core.records import Rebuilt, frozen
 from spectra_kit._core.types import Bools, Floats, Ints
 from spectra_kit._core.validate import real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.frames import frames_of, unit_vectors
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.geometry.vectors import frames_of, sums, unit_vectors
 from spectra_kit.geometry.winding import sides_of, turn, wound_against
 from spectra_kit.operators.checks import of_shape, unit_of
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
@@ -107,9 +107,7 @@ def tangent_frames(geometry: Geometry, *, n_neighbors: int = 30) -> TangentFrame
     angles = np.linalg.norm(weighted, axis=1)
     total = np.bincount(owners, angles, minlength=n)
     check_area_at_all(total)
-    normals: Floats = np.column_stack(
-        [np.bincount(owners, part, minlength=n) for part in weighted.T]
-    )
+    normals = sums(owners, weighted, n)
     doubtful |= np.linalg.norm(normals, axis=1) < _CANCEL * total
     if doubtful.any():
         here = doubtful[owners] & (angles > 0)
@@ -166,17 +164,15 @@ def laplacian_along(
 ) -> Laplacian:
     """Return the connection Laplacian on a triangulation of a geometry."""
     plain = triangulation.laplacian
-    upper = sparse.coo_array(sparse.triu(plain.stiffness, 1))
-    i, j = upper.row.astype(np.int64), upper.col.astype(np.int64)
+    upper = sparse.csr_array(sparse.triu(plain.stiffness, 1))
+    i, j = np.repeat(np.arange(plain.n), np.diff(upper.indptr)), upper.indices
     seam: float | Floats = 0.0
     if isinstance(geometry, TriangleMesh):  # where sides are known, vectors turn at any fold
         _, doubtful, clashes = _agreed(geometry)
         seam = np.where(doubtful[i] | doubtful[j], 0.0, _SEAM if clashes else -np.inf)
     blocks = upper.data[:, None, None] * _carried(frames.axes, i, j, seam)
-    rows = np.broadcast_to((2 * i[:, None] + [0, 1])[:, :, None], blocks.shape)
-    columns = np.broadcast_to((2 * j[:, None] + [0, 1])[:, None, :], blocks.shape)
     size = (2 * plain.n, 2 * plain.n)
-    half = sparse.csr_array((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=size)
+    half = sparse.csr_array(sparse.bsr_array((blocks, upper.indices, upper.indptr), shape=size))
     return Laplacian(
         half + half.T + sparse.diags_array(np.repeat(plain.stiffness.diagonal(), 2)),
         np.repeat(plain.mass, 2),

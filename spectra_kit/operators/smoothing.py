@@ -14,8 +14,8 @@ from spectra_kit._core.validate import as_indices, check_count, check_positive
 from spectra_kit._core.warn import hearing
 from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.frames import unit_vectors
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
+from spectra_kit.geometry.vectors import sums, unit_vectors
 from spectra_kit.geometry.winding import sides_of
 from spectra_kit.operators.checks import unit_of, units_of
 from spectra_kit.operators.intrinsic import intrinsic_delaunay
@@ -150,12 +150,11 @@ class _ClosedParts(NamedTuple):
     def measured(self, points: Floats) -> tuple[Floats, Floats]:
         """Return the volume of each part, and its gradient by the points (n, 3)."""
         part, n = self.part, len(points)
-        sizes = np.bincount(part)
-        middles = np.column_stack([np.bincount(part, x) / sizes for x in points.T])
+        middles = sums(part, points, part.max() + 1) / np.bincount(part)[:, None]
         x = (points - middles[part]) / self.units
         a, b, c = np.moveaxis(x[self.faces], 1, 0)
-        shares = np.repeat(np.cross(b - a, c - a) / 6, 3, axis=0).T
-        slopes: Floats = np.column_stack([np.bincount(self.faces.ravel(), s, n) for s in shares])
+        shares = np.repeat(np.cross(b - a, c - a) / 6, 3, axis=0)
+        slopes = sums(self.faces.ravel(), shares, n)
         return np.bincount(part, np.einsum("nr,nr->n", x, slopes)) / 3, slopes
 
     def restored(self, points: Floats) -> Floats:

@@ -12,8 +12,8 @@ from scipy.sparse import csr_array
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.frames import frames_of
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.geometry.vectors import frames_of, sums
 from spectra_kit.operators.checks import check_cloud_usable, check_faces_usable, of_shape, unit_of
 from spectra_kit.operators.local_delaunay import local_triangles
 from spectra_kit.operators.oriented import OrientedTriangles, oriented_triangles
@@ -214,7 +214,7 @@ def main_normals(owners: Ints, normals: Floats, n: int) -> Floats:
 def outward(frames: Floats, points: Floats, outer: OrientedTriangles) -> Floats:
     """Return frames whose normals are on the side of the triangles at their points."""
     a, b, c = (points[outer.faces[:, i]] for i in range(3))
-    across, corners = np.cross(b - a, c - a), outer.faces.ravel()
-    normals = [np.bincount(corners, np.repeat(part, 3), len(points)) for part in across.T]
-    inward = np.einsum("rn,nr->n", normals, frames[:, 2]) < 0
+    across = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    normals = sums(outer.faces.ravel(), across, len(points))
+    inward = np.einsum("nr,nr->n", normals, frames[:, 2]) < 0
     return np.where(inward[:, None, None], frames * [[1.0], [-1.0], [-1.0]], frames)

@@ -12,8 +12,8 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import as_array, check_count, check_points, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import SurfacePath
-from spectra_kit.geometry.frames import unit_vectors
 from spectra_kit.geometry.shapes import Geometry
+from spectra_kit.geometry.vectors import unit_vectors
 from spectra_kit.show.camera import View
 from spectra_kit.show.isolines import both_sides
 from spectra_kit.show.layout import Page

@@ -1,10 +1,16 @@
-"""Unit vectors, and axes of the planes that they are normal to."""
+"""Vectors: their sums, their directions, and axes of the planes that these are normal to."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from spectra_kit._core.types import Floats
+from spectra_kit._core.types import Floats, Ints
+
+
+def sums(index: Ints, vectors: Floats, n: int) -> Floats:
+    """Return the sums (n, d) of vectors (m, d) by an index (m,) of each."""
+    found = [np.bincount(index, column, n) for column in vectors.T]
+    return np.column_stack(found).astype(np.float64, copy=False)
 
 
 def unit_vectors(vectors: Floats) -> Floats:
