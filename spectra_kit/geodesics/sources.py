@@ -290,18 +290,17 @@ def named_sources(
         return list(sources.vertices.tolist())
     if isinstance(sources, FacePoint):
         return [sources]
-    if isinstance(sources, Sequence) and any(isinstance(s, FacePoint) for s in sources):
-        last = geometry.n - 1
+    listed = isinstance(sources, Sequence)
+    if listed and (not len(sources) or any(isinstance(s, FacePoint) for s in sources)):
+        high = geometry.n - 1  # to NumPy an empty list is one of floats
         return [
-            s if isinstance(s, FacePoint) else check_count(name, s, low=0, high=last)
+            s if isinstance(s, FacePoint) else check_count(name, s, low=0, high=high)
             for s in sources
         ]
     if isinstance(sources, np.ndarray) and sources.dtype == bool:
         if sources.shape != (geometry.n,):
             raise InvalidInputError(name, f"have shape ({geometry.n},) as a mask", sources.shape)
         sources = np.flatnonzero(sources)
-    if isinstance(sources, Sequence) and not sources:
-        return []  # to NumPy an empty list is one of floats
     array = check_indices(name, sources, geometry.n)
     if array.ndim > 1:
         raise InvalidInputError(

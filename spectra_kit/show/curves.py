@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import as_array, check_count, check_points, real_array
+from spectra_kit._core.validate import as_array, check_count, check_points
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import SurfacePath
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.geometry.vectors import unit_vectors
+from spectra_kit.operators.checks import of_shape
 from spectra_kit.show.camera import View
 from spectra_kit.show.isolines import both_sides
 from spectra_kit.show.layout import Page
@@ -108,9 +109,7 @@ def plot_vectors(
     Picture(path=None)
     """
     given = as_array("vectors", vectors)
-    field = real_array("vectors", np.where(given != given, 0, given))
-    if field.shape != geometry.points.shape:
-        raise InvalidInputError("vectors", f"have shape {geometry.points.shape}", field.shape)
+    field = of_shape("vectors", np.where(given != given, 0, given), geometry.points.shape)
     some, apart = _spread(geometry.points, check_count("arrows", arrows, low=1))
     some = some[field[some].any(axis=1)]
     start, along = geometry.points[some], field[some]
@@ -120,7 +119,7 @@ def plot_vectors(
     sideways, tip = _OPEN * size * unit_vectors(across), start + along
     barbs = [tip - _HEAD * (along + way * sideways) for way in (-1, 1)]
     segments = [np.stack(ends, axis=1) for ends in ((start, tip), (tip, barbs[0]), (tip, barbs[1]))]
-    return both_sides(geometry, _PLAIN, np.concatenate(segments), _FINE, None, view, page)
+    return both_sides(geometry, _PLAIN, np.concatenate(segments), _FINE, (), view, page)
 
 
 def _spread(points: Floats, count: int) -> tuple[Ints, float]:

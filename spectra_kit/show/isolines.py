@@ -103,7 +103,7 @@ def both_sides(
     colours: Bytes | tuple[int, int, int],
     lines: Floats,
     widths: Floats | float,
-    marks: ArrayLike | None,
+    marks: ArrayLike,
     view: View,
     page: Page,
     *,
@@ -112,7 +112,9 @@ def both_sides(
     """Draw a coloured geometry with lines, widths in points, and balls at `marks`."""
     rotation = view.rotation(geometry)
     across, tall = fitting_size(geometry, rotation, _WIDEST, _TALLEST)
-    at = check_points("marks", marks) if marks is not None and np.size(marks) else np.empty((0, 3))
+    at = np.empty((0, 3))
+    if np.size(marks):
+        at = np.unique(check_points("marks", marks), axis=0)
     drawn, _ = with_balls(geometry, at, _BALL * inch(geometry, view))
     every: Bytes = np.full((drawn.n, 3), MARK, dtype=np.uint8)
     every[: geometry.n] = colours
