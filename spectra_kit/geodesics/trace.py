@@ -236,45 +236,33 @@ def logarithmic_map(geometry: Geometry, source: int | FacePoint) -> LogarithmicM
 
 def fan_of(soup: Soup, v: int, name: str) -> Fan:
     """Return the fan of faces around a vertex, if it is one."""
-    around = list(soup.corners[soup.first[v] : soup.first[v + 1]])
-    turned, closed = _turned(soup, v, around[0], 1, name)
-    if not closed:
-        back, _ = _turned(soup, v, around[0], -1, name)
-        turned = [(side, -way) for side, way in reversed(back[1:])] + turned
-    if len(turned) != len(around):
-        raise _no_fan(name, v, "several fans of faces around it")
-    sides, ways = (np.array(column) for column in zip(*turned, strict=True))
+    corners = soup.corners[soup.first[v] : soup.first[v + 1]]
+    face, c = corners - corners % 3, corners % 3
+    after, before = (soup.tails[face + (c + i) % 3].tolist() for i in (1, 2))
+    beside: dict[int, list[int]] = {}
+    for i, (one, other) in enumerate(zip(after, before, strict=True)):
+        beside.setdefault(one, []).append(i)
+        beside.setdefault(other, []).append(i)
+    rim = [w for w, corners_there in beside.items() if len(corners_there) == 1]
+    at = next((w for w in rim if w in after), after[0])  # where the turn begins
+    places, ways, left = list[int](), list[int](), set(range(len(corners)))
+    while here := [i for i in beside[at] if i in left]:
+        places.append(here[0])
+        left.remove(here[0])
+        ways.append(1 if after[here[0]] == at else -1)
+        at = before[here[0]] if ways[-1] > 0 else after[here[0]]
+    several = max(map(len, beside.values())) > 2
+    if several or left:
+        got = "an edge of more than two faces" if several else "several fans of faces around it"
+        raise InvalidInputError(
+            name,
+            "lie on one sheet",
+            f"vertex {v} with {got}, so that directions have no order",
+            advice="take a point beside it",
+        )
+    sides = corners[places]
     angles = np.arctan2(soup.apex_y[sides], soup.apex_x[sides])
-    return Fan(sides, ways, angles, np.append(0.0, np.cumsum(angles)[:-1]), closed)
-
-
-def _turned(
-    soup: Soup, v: int, side: int, way: int, name: str
-) -> tuple[list[tuple[int, int]], bool]:
-    """Go round vertex v from a corner, and return the corners, and whether they close."""
-    first, found = side, []
-    while True:
-        found.append((int(side), way))
-        edge = side - side % 3 + (side + 2) % 3 if way > 0 else side  # of the face, at v
-        other = soup.around[edge]
-        if other == edge:
-            return found, False
-        if soup.around[other] != edge:
-            raise _no_fan(name, v, "an edge of more than two faces")
-        # It either begins at v, so that the turn enters by it, or ends there.
-        after = other - other % 3 + (other + 1) % 3
-        side, way = (other, 1) if soup.tails[other] == v else (after, -1)
-        if side == first:
-            return found, True
-
-
-def _no_fan(name: str, v: int, got: str) -> InvalidInputError:
-    return InvalidInputError(
-        name,
-        "lie on one sheet",
-        f"vertex {v} with {got}, so that directions have no order",
-        advice="take a point beside it",
-    )
+    return Fan(sides, np.array(ways), angles, np.append(0.0, np.cumsum(angles)[:-1]), not rim)
 
 
 def _axes(mesh: TriangleMesh, fan: Fan) -> Floats:
