@@ -6,18 +6,17 @@ from typing import Annotated, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Bools, Floats, Ints
 from spectra_kit._core.validate import as_indices, check_count, check_positive
 from spectra_kit._core.warn import hearing
-from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
 from spectra_kit.geometry.vectors import sums, unit_vectors
 from spectra_kit.geometry.winding import sides_of
-from spectra_kit.operators.checks import unit_of, units_of
+from spectra_kit.operators._held import factorised
+from spectra_kit.operators.checks import units_of
 from spectra_kit.operators.intrinsic import intrinsic_delaunay
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.operators.oriented import oriented_triangles
@@ -91,13 +90,12 @@ def smooth(
     0.03
     0.01
     """
-    unit = unit_of(geometry)
     check_count("steps", steps, low=1)
     triangulation = intrinsic_delaunay(geometry)
     laplacian = triangulation.laplacian
     if time is None:
         time = float(triangulation.lengths.mean()) ** 2
-    step = check_positive("time", time) / steps / unit**2
+    step = check_positive("time", time) / steps
     held, parts = np.zeros(geometry.n, dtype=bool), None
     held[as_indices("fixed", fixed, geometry.n)] = True
     if boundary == "held":
@@ -108,26 +106,22 @@ def smooth(
         if done:
             with hearing():  # what there is to tell of the surface was told at the first step
                 laplacian = intrinsic_delaunay(geometry).laplacian
-        points = _stepped(laplacian, held, step, unit)
+        points = _stepped(laplacian, held, step)
         if parts is not None:
             points = parts.restored(points)
         geometry = geometry.with_points(points)
     return geometry
 
 
-def _stepped(laplacian: Laplacian, held: Bools, step: float, unit: float) -> Floats:
-    """Solve ``(M + step L) x' = M x`` for the points that are not held; areas are in unit^2."""
-    points, free = np.array(laplacian.points), np.flatnonzero(~held)
-    if not len(free):
-        return points
-    system = sparse.diags_array(laplacian.mass / unit**2) + step * laplacian.stiffness
+def _stepped(laplacian: Laplacian, held: Bools, step: float) -> Floats:
+    """Solve ``(M + step L) x' = M x`` for the points that are not held."""
     try:
-        factor = SparseLDL(sparse.csr_array(system[free][:, free]))
+        factor = factorised(laplacian, -1 / step, held)
     except InvalidInputError as error:
         raise _too_long() from error
     # For the way that each point takes: none, to rounding, where the surface is flat.
-    points[free] += factor.solve(-step * (laplacian.stiffness @ points)[free])
-    return points
+    pull = -(laplacian.stiffness @ laplacian.points)
+    return np.asarray(laplacian.points + factor.solve(np.where(held[:, None], 0.0, pull)))
 
 
 def _too_long() -> InvalidInputError:
