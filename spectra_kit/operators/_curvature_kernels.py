@@ -19,24 +19,6 @@ _SINGULAR = 1e-7  # of a column's square, what the columns before it leave of it
 
 
 @compiled()
-def faces_around(faces: Ints32, n: int) -> tuple[Ints32, Ints32]:
-    """Return the faces at each point: those of point v stand from ``starts[v]`` on, ascending."""
-    starts = np.zeros(n + 1, np.int32)
-    for f in range(len(faces)):
-        for c in range(3):
-            starts[faces[f, c] + 1] += 1
-    for v in range(n):
-        starts[v + 1] += starts[v]
-    place, around = starts.copy(), np.empty(3 * len(faces), np.int32)
-    for f in range(len(faces)):
-        for c in range(3):
-            v = faces[f, c]
-            around[place[v]] = f
-            place[v] += 1
-    return starts, around
-
-
-@compiled()
 def surroundings(
     points: Floats,
     faces: Ints32,
@@ -54,6 +36,7 @@ def surroundings(
 ) -> None:
     """Write what surrounds the points from `first` to `last`.
 
+    The faces at point v stand in `around` from ``starts[v]`` on.
     To `rings` their neighbours, `sizes` of them from ``2 * starts[v]`` on, and to `spacings` the
     geometric mean of their distances. To `vectors` and `areas` the sums of the area vectors of the
     faces, twice as long as these are large, and of their lengths. And whether the points are

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt, frozen
@@ -229,10 +230,13 @@ def _around_cloud(cloud: PointCloud, points: Floats) -> _Around:
 
 
 def _around(points: Floats, faces: Ints) -> _Around:
-    from spectra_kit.operators._curvature_kernels import faces_around, surroundings
+    from spectra_kit.operators._curvature_kernels import surroundings
 
     n, corners = len(points), faces.astype(np.int32)
-    starts, around = faces_around(corners, n)
+    three = np.arange(0, corners.size + 1, 3, dtype=np.int32)
+    ones = np.ones(corners.size, bool)
+    of_points = sparse.csr_array((ones, corners.ravel(), three), (len(faces), n)).tocsc()
+    starts, around = of_points.indptr, of_points.indices
     rings, sizes = np.empty(2 * len(around), np.int32), np.empty(n, np.int32)
     vectors, areas, spacings = np.empty((n, 3)), np.empty(n), np.empty(n)
     whole, rim = np.empty(n, bool), np.empty(n, bool)
