@@ -75,11 +75,10 @@ def with_farthest(
 
     Without sources the first is the farthest from point 0, which is none itself.
     """
-    if count and not sources:
-        first = int(np.argmax(distance([0])))
-        return with_farthest([first], count - 1, distance)
-    chosen, latest = list(sources), list(sources)
-    nearest: Floats = np.array(np.inf)
+    chosen = list(sources)
+    if count and not chosen:
+        chosen, count = [int(np.argmax(distance([0])))], count - 1
+    latest, nearest = list(chosen), np.array(np.inf)
     for _ in range(count):
         nearest = np.minimum(nearest, distance(latest))
         latest = [int(np.argmax(nearest))]

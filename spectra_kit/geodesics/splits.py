@@ -20,12 +20,9 @@ class Split(NamedTuple):
     """A mesh whose vertices certain points are."""
 
     mesh: TriangleMesh
-    vertices: list[int]
-    """Of each point."""
-    faces: Ints
-    """The face that was there, of each face (f,)."""
-    corners: Floats
-    """Barycentric coordinates, in it, of the corners of the last of these faces, (m, 3, 3)."""
+    vertices: list[int]  # of each point
+    faces: Ints  # (f,), the face that was there, of each face
+    corners: Floats  # (m, 3, 3), barycentric coordinates, in it, of those of the last m faces
 
     def original(self, faces: Ints, weights: Floats) -> tuple[Ints, Floats]:
         """Return faces (p,) that were there, and barycentric coordinates (p, 3) in them."""
@@ -63,28 +60,20 @@ def split_at(mesh: TriangleMesh, points: Iterable[int | FacePoint]) -> Split:
             between = np.isin(mesh.faces, around).sum(axis=1) == 2
             _cut_open(mesh, pieces, np.flatnonzero(between).tolist())
         shares = inside[near] / inside[near].sum()
-        for face, parts in pieces.items():
-            pieces[face] = [
-                smaller
-                for part in parts
-                for smaller in (
-                    part.cut(around, shares, new)
-                    if part is piece or (on_edge and set(around) <= set(part.vertices))
-                    else [part]
-                )
-            ]
+        for face in [*pieces] if on_edge else [point.face]:
+            pieces[face] = [cut for part in pieces[face] for cut in part.cut(around, shares, new)]
     if not pieces:
         return Split(mesh, vertices, np.arange(len(mesh.faces)), np.empty((0, 3, 3)))
     whole = np.setdiff1d(np.arange(len(mesh.faces)), list(pieces))
-    cut = [(face, piece) for face, parts in sorted(pieces.items()) for piece in parts]
+    found = [(face, piece) for face, parts in sorted(pieces.items()) for piece in parts]
     return Split(
         TriangleMesh(
             np.vstack([mesh.points, *positions]),
-            np.vstack([mesh.faces[whole], [piece.vertices for _, piece in cut]]),
+            np.vstack([mesh.faces[whole], [piece.vertices for _, piece in found]]),
         ),
         vertices,
-        np.append(whole, [face for face, _ in cut]),
-        np.stack([piece.corners for _, piece in cut]),
+        np.append(whole, [face for face, _ in found]),
+        np.stack([piece.corners for _, piece in found]),
     )
 
 
@@ -95,7 +84,12 @@ class _Piece(NamedTuple):
     corners: Floats
 
     def cut(self, around: list[int], shares: Floats, new: int) -> list[_Piece]:
-        """Return what lies between a new vertex and the others: it replaces each of `around`."""
+        """Return triangles in which a new vertex stands for each of `around` in turn.
+
+        Itself where these are not all its own.
+        """
+        if not set(around) <= set(self.vertices):
+            return [self]
         at = [self.vertices.index(v) for v in around]
         found = []
         for c in at:

@@ -32,14 +32,10 @@ _ROUNDING = 1e-12  # of a length
 class Fan(NamedTuple):
     """The corners around a vertex, one after the other, and the angles they begin at."""
 
-    sides: Ints
-    """Corners, as the side that begins there, (d,)."""
-    forward: Ints
-    """1 where the turn is from that side to the one before, as the face is wound; or -1."""
-    angles: Floats
-    """Of each corner, (d,)."""
-    begins: Floats
-    """Sum of those before, (d,)."""
+    sides: Ints  # (d,), corners, as the side that begins there
+    forward: Ints  # 1 where the turn is from that side to the one before, or -1
+    angles: Floats  # of each corner
+    begins: Floats  # the sums of those before
     closed: bool
 
     @property
