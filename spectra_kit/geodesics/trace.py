@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from spectra_kit.geodesics._exact_kernels import Soup
 
 _ROUNDING = 1e-12  # of a length
+_ALONG = 1e-9  # of a turn off a boundary, a path that runs along it
 
 
 class Fan(NamedTuple):
@@ -141,14 +142,12 @@ def trace_geodesic(
             "have a part in the tangent plane",
             f"{towards.tolist()}, along the normal" if towards.any() else "the zero vector",
         )
-    angle = float(np.arctan2(y, x)) % (2 * np.pi) / fan.scale
-    if not fan.closed and angle > fan.total:
-        turn = 2 * np.pi - angle
-        if min(angle - fan.total, turn) > 1e-9:
-            raise InvalidInputError(
-                "direction", "lead onto the surface from the boundary", f"{towards.tolist()}"
-            )
-        angle = fan.total if angle - fan.total < turn else 0.0
+    turn = float(np.arctan2(y, x)) % (2 * np.pi)
+    angle = turn / fan.scale if turn < 2 * np.pi - _ALONG else 0.0
+    if angle > fan.total + _ALONG:  # which closed fans have not
+        raise InvalidInputError(
+            "direction", "lead onto the surface from the boundary", f"{towards.tolist()}"
+        )
     wanted = tangent if length is None else float(length)
     faces, ends, missing = _traced(soup, fan, angle, wanted / unit[v])
     if missing > 0:
