@@ -13,6 +13,7 @@ from spectra_kit._core.warn import warn
 from spectra_kit.errors import AmbiguousModesWarning, InvalidInputError
 from spectra_kit.features._spectra import Solvable, outside_kernel, solved
 from spectra_kit.features.distances import kernel_labels
+from spectra_kit.geometry.vectors import sums
 
 _PRESENT = 1e-3  # share of a mode on a component that is more than an error of the solver
 _NEAR = 0.01  # relative distance of eigenvalues that a discretisation may part, or join
@@ -168,10 +169,9 @@ def _clusters(
         before, found = found, squared.argmin(axis=1)
         if np.array_equal(before, found):
             break
-        member = sparse.csr_array((mass, (found, np.arange(len(rows)))), (count, len(rows)))
-        weights = member.sum(axis=1)
+        weights = np.bincount(found, mass, count)
         full = weights > 0
-        centres[full] = (member @ rows)[full] / weights[full, None]
+        centres[full] = sums(found, mass[:, None] * rows, count)[full] / weights[full, None]
     return float(mass @ squared.min(axis=1)), found
 
 
