@@ -107,6 +107,14 @@ def check_indices(name: str, values: ArrayLike, n: int) -> Ints:
     return np.asarray(array, dtype=np.int64, order="C")
 
 
+def as_indices(name: str, values: ArrayLike, n: int) -> Ints:
+    """Return point indices, given as such or as a boolean mask of shape (n,)."""
+    array = np.asarray(values)
+    if array.dtype == bool and array.shape == (n,):
+        return np.flatnonzero(array)
+    return check_indices(name, array if array.size else array.astype(np.int64), n)
+
+
 def check_faces(name: str, values: ArrayLike, n: int) -> Ints:
     """Return `values` as int64 faces of shape (f, 3), f >= 1, indexing `n` points."""
     array = as_array(name, values)

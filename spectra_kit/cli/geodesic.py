@@ -8,7 +8,7 @@ import numpy as np
 from cyclopts import Parameter
 
 import spectra_kit as sk
-from spectra_kit._core.validate import check_count, check_indices, check_positive, quantity
+from spectra_kit._core.validate import check_count, check_positive, quantity
 from spectra_kit.cli import options, solving, tables
 from spectra_kit.cli.geodesic_compare import (
     clock_note,
@@ -382,16 +382,6 @@ def named_sources(asked: GeodesicOptions, geometry: "Geometry", kept: Numbering)
     `kept` knows the points of the file, where some were left out.
     """
     check_count("--farthest", asked.farthest, low=0, high=geometry.n)
-    named = check_indices("--source", np.array(asked.source, dtype=object), kept.n)
-    points = kept.number(named)
-    if (points < 0).any():
-        lost = ", ".join(map(str, named[points < 0]))
-        raise InvalidInputError(
-            "--source",
-            "name points that --repair and --largest keep",
-            f"{lost}, which no face has, or none of that part",
-            advice="name others, or places by --at",
-        )
-    found: list[Source] = points.tolist()
+    found: list[Source] = [*kept.named("--source", asked.source)]
     found += [sk.geodesics.nearest_source(geometry, place) for place in asked.at]
     return found + [sk.geodesics.FacePoint(int(face), (a, b, c)) for face, a, b, c in asked.face]

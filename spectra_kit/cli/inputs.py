@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -14,7 +14,7 @@ import numpy as np
 
 import spectra_kit as sk
 from spectra_kit._core.types import Ints
-from spectra_kit._core.validate import check_count, quantity
+from spectra_kit._core.validate import check_count, check_indices, quantity
 from spectra_kit.cli.options import DEMO, FORMATS, OnOne, Operator, Reading
 from spectra_kit.cli.progress import say, step
 from spectra_kit.errors import InvalidFileError, InvalidInputError
@@ -54,6 +54,20 @@ class Numbering:
     def number(self, points: Ints) -> Ints:
         """Return what points of the file are called now; -1 where they are not known."""
         return np.where(points < 0, -1, self.new[points])
+
+    def named(self, option: str, points: Sequence[int]) -> list[int]:
+        """Return what points of the file are called now that an option names, all of them known."""
+        given = check_indices(option, np.array(points, dtype=object), self.n)
+        numbers = self.number(given)
+        if (numbers < 0).any():
+            raise InvalidInputError(
+                option,
+                "name points that --repair and --largest keep",
+                f"{', '.join(map(str, given[numbers < 0]))}, which no face has, or none of that"
+                " part",
+                advice="name others, or places by --at",
+            )
+        return list(numbers.tolist())
 
     def spread(self, values: Any, lacking: float) -> Any:
         """Return values at matched points at all points of the file."""

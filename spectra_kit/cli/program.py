@@ -81,7 +81,6 @@ def load(name: str) -> tuple[type[Command], Callable[[Any], None]]:
         match,
         match_all,
         modes,
-        path,
         surface,
     )
 
@@ -94,7 +93,7 @@ def load(name: str) -> tuple[type[Command], Callable[[Any], None]]:
         "explore": (explore.ExploreOptions, explore.explore),
         "match": (match.MatchOptions, match.match_shapes),
         "geodesic": (geodesic.GeodesicOptions, geodesic.geodesic_distances),
-        "path": (path.PathOptions, path.shortest_paths),
+        "path": (surface.PathOptions, surface.shortest_paths),
         "curvature": (surface.CurvatureOptions, surface.curvature),
         "smooth": (surface.SmoothOptions, surface.smooth),
         "similar": (learn.SimilarOptions, learn.similar),

@@ -1,126 +1,108 @@
 """Straight lines over unfolded triangles, from face to face; compiled by numba on first use.
 
-The frame of a *face* is that of its side 0: corner 0 is the origin, corner 1 lies on the x axis,
-corner 2 above it. A line heads for a point that lies at (x, y) once the faces up to there are
-unfolded into the plane. Sides, soups and fronts are those of `_exact_kernels`.
+A line heads for a point that lies at (x, y) once the faces up to there are unfolded into the plane
+of the face that it crosses, in the frame of the side by which it came in. Sides, frames, soups and
+fronts are those of `_exact_kernels`. Segments lie in `faces` (m,), and `ends` (m, 2, 3) are the
+barycentric coordinates in these of their ends.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 from numba.extending import register_jitable
 
 from spectra_kit._core.compiled import compiled
 from spectra_kit._core.types import Floats, Ints
+from spectra_kit.geodesics._exact_kernels import Front, Soup
 
 # Of the longest side of a face: a line this near to a corner meets it. What that adds to a path is
 # of second order.
 _TOUCH = 1e-9
-#: How a line ends: where it heads for; at a corner; at an edge of one face, or of more than two.
-THERE, CORNER, BOUNDARY, BRANCH = 0, 1, 2, 3
-#: In place of a count of segments: they do not fit; a path cannot be followed.
-NO_ROOM, LOST = -1, -2
+_ROOM = 64  # segments to begin with
+MOST = 2**22  # segments that are a path, and not a length in another unit
+#: How a line ends: where it heads for; at a corner; at an edge of one face, or of more than two;
+#: after too many segments.
+THERE, CORNER, EDGE, ENDLESS = 0, 1, 2, 3
 
-
-class Surface(NamedTuple):
-    """What a walk needs of a `Soup`."""
-
-    tails: Ints
-    lengths: Floats
-    apex_x: Floats
-    apex_y: Floats
-    around: Ints
-
-
-class Ways(NamedTuple):
-    """What a walk back needs of a `Front`."""
-
-    d: Floats
-    arrived: Ints
-    seen: Floats
-    came: Ints
-    earlier: Ints
+Line = tuple[Ints, Floats, int, int, int, float, float]
 
 
 @compiled()
-def trace(
-    surface: Surface, face: int, corner: int, x: float, y: float, faces: Ints, ends: Floats
-) -> tuple[int, int, int, float, float]:
-    """Follow the line from a corner of a face towards (x, y), which its angle sees, in its frame.
+def trace(soup: Soup, side: int, angle: float, length: float) -> Line:
+    """Follow the line of some length that leaves the tail of a side at an angle to it.
 
-    Return how many segments were written to `faces` and `ends`, how it ended, the corner met as a
-    side that begins there, and how far on (x, y) still is, in the frame of the last face.
+    Return its segments, how many these are, how it ended, the side that begins at the corner met,
+    at which angle to that it came, and how much of the length is missing.
     """
-    no = np.empty(0, np.int64)
-    return _line(surface, no, no, face, corner, x, y, -1, faces, ends, 0)
+    no, (faces, ends) = np.empty(0, np.int64), _buffers()
+    x, y = length * np.cos(angle), length * np.sin(angle)
+    return _line(soup, no, no, side, 0, x, y, -1, faces, ends, 0)
 
 
 @compiled()
-def backtrace(surface: Surface, ways: Ways, v: int, faces: Ints, ends: Floats) -> int:
-    """Write the segments of the shortest path from vertex v back to its source; return how many.
+def backtrace(soup: Soup, front: Front, v: int) -> tuple[Ints, Floats, int, int, float]:
+    """Follow the shortest path from vertex v back to its source.
 
-    Each lies in a face of `faces` (m,); `ends` (m, 2, 3) are the barycentric coordinates in it of
-    its ends. `NO_ROOM` or `LOST` where it cannot.
+    Return its segments, how many these are, and how it leaves the source: the side that begins
+    there, of its face, and the angle to that. A side of -1 where it cannot be followed.
     """
-    return _back(surface, ways, v, faces, ends)
-
-
-@compiled()
-def last_segments(
-    surface: Surface, ways: Ways, faces: Ints, ends: Floats, last: Ints, at: Floats
-) -> int:
-    """Write of each vertex the last face (n,) on its way back, and where it comes in, (n, 3).
-
-    A face of -1 where there is no way; the room for one path is in `faces` and `ends`.
-    """
-    for v in range(len(last)):
-        last[v] = -1
-        if ways.arrived[v, 0] < 0:
-            continue
-        count = _back(surface, ways, v, faces, ends)
-        if count == NO_ROOM:
-            return NO_ROOM
-        if count > 0:
-            last[v] = faces[count - 1]
-            at[v] = ends[count - 1, 0]
-    return 0
+    faces, ends = _buffers()
+    count, met, angle = 0, -1, 0.0
+    while front.arrived[v, 0] >= 0:
+        side, passage = front.arrived[v, 0], front.arrived[v, 2]
+        if passage >= -1:
+            x, y = front.seen[v, 0], -front.seen[v, 1]
+            faces, ends, count, how, met, angle, _ = _line(
+                soup, front.came, front.earlier, side, 2, x, y, passage, faces, ends, count
+            )
+            if how != CORNER or front.d[soup.tails[met]] >= front.d[v]:
+                return faces, ends, count, -1, 0.0
+        else:  # along a side
+            faces, ends = _roomy(faces, ends, count)
+            following = side - side % 3 + (side + 1) % 3
+            back = soup.tails[side] != v  # from head to tail
+            faces[count] = side // 3
+            _put(ends, count, 0, (following if back else side) % 3, 0.0)
+            _put(ends, count, 1, (side if back else following) % 3, 0.0)
+            met = side if back else following
+            angle = 0.0 if back else np.arctan2(soup.apex_y[met], soup.apex_x[met])
+            count += 1
+        v = soup.tails[met]
+    return faces, ends, count, met, angle
 
 
 @register_jitable
-def _back(surface: Surface, ways: Ways, v: int, faces: Ints, ends: Floats) -> int:
-    count = 0
-    while ways.arrived[v, 0] >= 0:
-        if count + 1 >= len(faces):
-            return NO_ROOM
-        side, passage = ways.arrived[v, 0], ways.arrived[v, 2]
-        if passage < -1:  # along a side
-            c = side % 3
-            start, end = (c, (c + 1) % 3) if surface.tails[side] == v else ((c + 1) % 3, c)
-            faces[count] = side // 3
-            ends[count] = 0.0
-            ends[count, 0, start] = ends[count, 1, end] = 1.0
-            count += 1
-            v = ways.arrived[v, 1]
-            continue
-        x, y = _in_face(surface, side, ways.seen[v, 0], -ways.seen[v, 1])
-        corner = (side % 3 + 2) % 3
-        count, how, met, _, _ = _line(
-            surface, ways.came, ways.earlier, side // 3, corner, x, y, passage, faces, ends, count
-        )
-        if how != CORNER or ways.d[surface.tails[met]] >= ways.d[v]:
-            return NO_ROOM if how == NO_ROOM else LOST
-        v = surface.tails[met]
-    return count
+def _buffers() -> tuple[Ints, Floats]:
+    return np.empty(_ROOM, np.int64), np.empty((_ROOM, 2, 3))
+
+
+@register_jitable
+def _roomy(faces: Ints, ends: Floats, count: int) -> tuple[Ints, Floats]:
+    """Return the same, with room for one segment more."""
+    if count < len(faces):
+        return faces, ends
+    more, further = np.empty(2 * count, np.int64), np.empty((2 * count, 2, 3))
+    for i in range(count):
+        more[i] = faces[i]
+        for c in range(3):
+            further[i, 0, c], further[i, 1, c] = ends[i, 0, c], ends[i, 1, c]
+    return more, further
+
+
+@register_jitable
+def _put(ends: Floats, count: int, which: int, c: int, share: float) -> None:
+    """Write an end of a segment: at a share of the side from corner c on."""
+    for k in range(3):
+        ends[count, which, k] = 0.0
+    ends[count, which, c], ends[count, which, (c + 1) % 3] = 1 - share, share
 
 
 @register_jitable
 def _line(
-    surface: Surface,
+    soup: Soup,
     came: Ints,
     earlier: Ints,
-    face: int,
+    side: int,
     corner: int,
     x: float,
     y: float,
@@ -128,104 +110,87 @@ def _line(
     faces: Ints,
     ends: Floats,
     count: int,
-) -> tuple[int, int, int, float, float]:
-    """Follow a line from a corner of a face towards (x, y), in its frame; see `trace`."""
-    px, py = _corner(surface, face, corner)
-    entry = -1  # the side of the face by which it came in
-    start = np.zeros(3)
-    start[corner] = 1.0
-    while count + 1 < len(faces):
+) -> Line:
+    """Follow the line from a corner, by its number from the tail of a side, which sees (x, y).
+
+    Return what `trace` does, after the segments that were there.
+    """
+    px, py = _corner(soup, side, corner)
+    begin, share, entry = (side + corner) % 3, 0.0, -1  # it begins on a side, and which that is
+    while count < MOST:
+        faces, ends = _roomy(faces, ends, count)
         dx, dy = x - px, y - py
         r = np.hypot(dx, dy)
-        faces[count] = face
-        ends[count, 0] = start
-        touch = _TOUCH * max(surface.lengths[3 * face], surface.lengths[3 * face + 1])
+        faces[count] = side // 3
+        _put(ends, count, 0, begin, share)
+        touch = _TOUCH * max(soup.lengths[side], np.hypot(soup.apex_x[side], soup.apex_y[side]))
         met, nearest = -1, np.inf
-        for c in range(3):
-            if c == corner:
-                continue
-            cx, cy = _corner(surface, face, c)
+        for k in range(3):
+            cx, cy = _corner(soup, side, k)
             cx, cy = cx - px, cy - py
             along = (cx * dx + cy * dy) / r
             if (
-                touch < along <= r + touch
+                k != corner
+                and touch < along <= r + touch
                 and along < nearest
                 and abs(cx * dy - cy * dx) <= touch * r
             ):
-                met, nearest = c, along
+                met, nearest = k, along
         if met >= 0:
-            ends[count, 1] = 0.0
-            ends[count, 1, met] = 1.0
-            return count + 1, CORNER, 3 * face + met, dx * (1 - nearest / r), dy * (1 - nearest / r)
+            _put(ends, count, 1, (side + met) % 3, 0.0)
+            ax, ay = _in_side(soup, side, met, px, py)
+            met = side - side % 3 + (side + met) % 3
+            return faces, ends, count + 1, CORNER, met, np.arctan2(ay, ax), r - nearest
         # Of the sides that (x, y) is beyond, the line crosses the nearest.
         out, first = -1, np.inf
-        for c in range(3):
-            if c in (entry, corner) or (c + 1) % 3 == corner:
+        for k in range(3):
+            if k in (entry, corner) or (k + 1) % 3 == corner:
                 continue
-            _, above = _in_side(surface, 3 * face + c, px, py)
-            _, beyond = _in_side(surface, 3 * face + c, x, y)
+            _, above = _in_side(soup, side, k, px, py)
+            _, beyond = _in_side(soup, side, k, x, y)
             if beyond < 0:
-                share = max(above, 0.0) / (max(above, 0.0) - beyond)
-                if share < first:
-                    out, first = c, share
+                way = max(above, 0.0) / (max(above, 0.0) - beyond)
+                if way < first:
+                    out, first = k, way
         if out < 0:
-            L, (ax, ay) = surface.lengths[3 * face], _corner(surface, face, 2)
-            two = y / ay
-            one = (x - two * ax) / L
-            ends[count, 1, 0], ends[count, 1, 1], ends[count, 1, 2] = 1 - one - two, one, two
-            return count + 1, THERE, -1, 0.0, 0.0
-        t = 3 * face + out
-        L = surface.lengths[t]
-        at, _ = _in_side(surface, t, px + first * dx, py + first * dy)
+            two = y / soup.apex_y[side]
+            one = (x - two * soup.apex_x[side]) / soup.lengths[side]
+            for k, weight in enumerate((1 - one - two, one, two)):
+                ends[count, 1, (side + k) % 3] = weight
+            return faces, ends, count + 1, THERE, -1, 0.0, 0.0
+        t = side - side % 3 + (side + out) % 3
+        L = soup.lengths[t]
+        at, _ = _in_side(soup, side, out, px + first * dx, py + first * dy)
         at = min(max(at, 0.0), L)
-        ends[count, 1] = 0.0
-        ends[count, 1, out], ends[count, 1, (out + 1) % 3] = 1 - at / L, at / L
+        _put(ends, count, 1, t % 3, at / L)
         count += 1
-        u = surface.around[t]
-        if u == t:
-            return count, BOUNDARY, t, dx * (1 - first), dy * (1 - first)
-        if surface.around[u] != t:
-            if passage < 0:
-                return count, BRANCH, t, dx * (1 - first), dy * (1 - first)
+        u = soup.around[t]
+        two_faces = u != t and soup.around[u] == t
+        if not two_faces and passage < 0:
+            return faces, ends, count, EDGE, t, 0.0, r * (1 - first)
+        if not two_faces:
             u, passage = came[passage], earlier[passage]
-        tx, ty = _in_side(surface, t, x, y)
-        if surface.tails[u] != surface.tails[t]:
-            at, tx = L - at, L - tx
-        face, entry, corner = u // 3, u % 3, -1
-        x, y = _in_face(surface, u, tx, -ty)
-        px, py = _in_face(surface, u, at, 0.0)
-        start[:] = 0.0
-        start[entry], start[(entry + 1) % 3] = 1 - at / L, at / L
-    return count, NO_ROOM, -1, 0.0, 0.0
+        x, y = _in_side(soup, side, out, x, y)
+        if soup.tails[u] != soup.tails[t]:
+            at, x = L - at, L - x
+        px, py, y = at, 0.0, -y
+        side, corner, entry, begin, share = u, -1, 0, u % 3, at / L
+    return faces, ends, count, ENDLESS, -1, 0.0, 0.0
 
 
 @register_jitable
-def _corner(surface: Surface, face: int, c: int) -> tuple[float, float]:
-    """Return where a corner lies in the frame of its face."""
-    if c == 0:
+def _corner(soup: Soup, side: int, k: int) -> tuple[float, float]:
+    """Return where a corner of its face, by its number from the tail on, lies in a side's frame."""
+    if k == 0:
         return 0.0, 0.0
-    if c == 1:
-        return surface.lengths[3 * face], 0.0
-    return surface.apex_x[3 * face], surface.apex_y[3 * face]
+    return (soup.lengths[side], 0.0) if k == 1 else (soup.apex_x[side], soup.apex_y[side])
 
 
 @register_jitable
-def _axis(surface: Surface, side: int) -> tuple[float, float, float, float]:
-    """Return origin and x axis of a side's frame in that of its face."""
-    face, c = side // 3, side % 3
-    ox, oy = _corner(surface, face, c)
-    hx, hy = _corner(surface, face, (c + 1) % 3)
+def _in_side(soup: Soup, side: int, k: int, x: float, y: float) -> tuple[float, float]:
+    """Return a point in the frame of the side that begins at corner k, from that of a side."""
+    ox, oy = _corner(soup, side, k)
+    hx, hy = _corner(soup, side, (k + 1) % 3)
     L = np.hypot(hx - ox, hy - oy)
-    return ox, oy, (hx - ox) / L, (hy - oy) / L
-
-
-@register_jitable
-def _in_face(surface: Surface, side: int, x: float, y: float) -> tuple[float, float]:
-    ox, oy, ex, ey = _axis(surface, side)
-    return ox + x * ex - y * ey, oy + x * ey + y * ex
-
-
-@register_jitable
-def _in_side(surface: Surface, side: int, x: float, y: float) -> tuple[float, float]:
-    ox, oy, ex, ey = _axis(surface, side)
+    ex, ey = (hx - ox) / L, (hy - oy) / L
     return (x - ox) * ex + (y - oy) * ey, (y - oy) * ex - (x - ox) * ey

@@ -21,6 +21,10 @@ Source = int | FacePoint
 def farthest_point_sampling(geometry: Geometry, count: int, *, start: int | None = None) -> Ints:
     """Pick points one after the other, each the farthest along the surface from those before.
 
+    Gonzalez, *Clustering to Minimize the Maximum Intercluster Distance*, Theoretical Computer
+    Science 38, 1985: no point is farther from the nearest of them than twice what the best choice
+    of as many could do.
+
     Parameters
     ----------
     geometry : TriangleMesh or PointCloud
@@ -33,17 +37,12 @@ def farthest_point_sampling(geometry: Geometry, count: int, *, start: int | None
     Returns
     -------
     ndarray of shape (count,)
-        Indices, in the order in which they were picked. A component without any comes first.
+        Indices, in the order in which they were picked, by distances as of `geodesic_distance`. A
+        component without any comes first.
 
     See Also
     --------
     spectra_kit.features.farthest_points : By a distance that a spectrum has, which is quicker.
-
-    Notes
-    -----
-    Gonzalez, *Clustering to Minimize the Maximum Intercluster Distance*, Theoretical Computer
-    Science 38, 1985: no point is farther from the nearest of them than twice what the best choice
-    of as many could do. Distances are those of `geodesic_distance`.
 
     Examples
     --------
@@ -76,11 +75,10 @@ def with_farthest(
 
     Without sources the first is the farthest from point 0, which is none itself.
     """
-    if count and not sources:
-        first = int(np.argmax(distance([0])))
-        return with_farthest([first], count - 1, distance)
-    chosen, latest = list(sources), list(sources)
-    nearest: Floats = np.array(np.inf)
+    chosen = list(sources)
+    if count and not chosen:
+        chosen, count = [int(np.argmax(distance([0])))], count - 1
+    latest, nearest = list(chosen), np.array(np.inf)
     for _ in range(count):
         nearest = np.minimum(nearest, distance(latest))
         latest = [int(np.argmax(nearest))]

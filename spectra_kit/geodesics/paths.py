@@ -3,27 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt, frozen
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import check_indices, real_array
+from spectra_kit._core.validate import check_indices, check_points
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geodesics.exact import propagated
 from spectra_kit.geodesics.sources import FacePoint, SourcesLike, points_named
 from spectra_kit.geodesics.splits import Split, split_at
 from spectra_kit.geometry import TriangleMesh
-
-if TYPE_CHECKING:
-    from spectra_kit.geodesics._exact_kernels import Soup
-    from spectra_kit.geodesics._walk_kernels import Surface, Ways
-    from spectra_kit.geodesics.exact import Propagated
-
-_ROOM = 256  # segments of a path to begin with
+from spectra_kit.operators.checks import of_shape
 
 
 @checked
@@ -36,8 +28,7 @@ class SurfacePath(Rebuilt):
     points : ndarray of shape (p, 3)
         Where it begins, crosses edges, bends, and ends; in the unit of the mesh.
     faces : ndarray of shape (p,)
-        A face that holds each point and the segment from it to the next; for the last point, the
-        segment before it.
+        A face that holds each point and the segment that begins there; for the last, that before.
     barycentric : ndarray of shape (p, 3)
         Weights of the corners of that face at the point.
 
@@ -46,8 +37,6 @@ class SurfacePath(Rebuilt):
     >>> import spectra_kit as sk
     >>> mesh = sk.geometry.sphere(subdivisions=3).geometry
     >>> path = sk.geodesic_path(mesh, 0, 100)
-    >>> path
-    SurfacePath(... points, length=...)
     >>> values = (path.barycentric * mesh.points[mesh.faces[path.faces], 2]).sum(axis=1)
     >>> bool(abs(values - path.points[:, 2]).max() < 1e-12)
     True
@@ -58,15 +47,11 @@ class SurfacePath(Rebuilt):
     barycentric: Floats
 
     def __post_init__(self) -> None:
-        points = real_array("points", self.points)
-        if points.ndim != 2 or points.shape[1] != 3 or not len(points):
-            raise InvalidInputError("points", "have shape (p, 3), p >= 1", points.shape)
-        p = len(points)
+        points = check_points("points", self.points)
         faces = check_indices("faces", self.faces, np.iinfo(np.int64).max)
-        weights = real_array("barycentric", self.barycentric)
-        for name, array, shape in (("faces", faces, (p,)), ("barycentric", weights, (p, 3))):
-            if array.shape != shape:
-                raise InvalidInputError(name, f"have shape {shape}", array.shape)
+        if faces.shape != (len(points),):
+            raise InvalidInputError("faces", f"have shape ({len(points)},)", faces.shape)
+        weights = of_shape("barycentric", self.barycentric, (len(points), 3))
         for name, array in (("points", points), ("faces", faces), ("barycentric", weights)):
             object.__setattr__(self, name, frozen(np.array(array)))
 
@@ -99,8 +84,8 @@ class GeodesicPaths:
     sources : int, FacePoint, sequence or array of these, or mask
         Where paths begin, each at the nearest; see `check_sources`.
     targets : int, FacePoint, sequence or array of these, or mask, optional
-        Where they shall end (default: any vertex). The search stops as soon as these are known, and
-        points inside faces must be named here.
+        Where they shall end (default: any vertex): the search stops once these are known. Points
+        inside faces must be named here.
 
     Attributes
     ----------
@@ -112,19 +97,12 @@ class GeodesicPaths:
     ConvergenceError
         As of `exact_distances`.
 
-    See Also
-    --------
-    geodesic_path : One path, in one call.
-
     Notes
     -----
     Exact, but that points of faces within 1e-6 of a corner or a side, in barycentric coordinates,
-    are put there. Paths are straight lines over the unfolded triangles, and bend where
-    `exact_distances` says. Each vertex knows through which edge its path came, and where in the
-    plane it bent last; a straight walk there finds the edges between. Of several that are as short,
-    one is returned.
-
-    potpourri3d and pygeodesic have paths on manifold meshes of one winding.
+    are put there. Paths are straight over the unfolded triangles, and bend where `exact_distances`
+    says; of several that are as short, one is returned. potpourri3d and pygeodesic have paths on
+    manifold meshes of one winding.
 
     Examples
     --------
@@ -162,52 +140,31 @@ class GeodesicPaths:
 
     def to(self, target: int | FacePoint) -> SurfacePath:
         """Return the shortest path from the nearest source to a vertex, or another of `targets`."""
-        split, distances = self._split, self._known.distances
-        end = self._places.get(target)
-        if end is None and isinstance(target, FacePoint) and max(target.barycentric) == 1:
-            points_named("target", target, self.mesh)
-            target = int(self.mesh.faces[target.face, int(np.argmax(target.barycentric))])
-            end = self._places.get(target)
-        if end is None:
-            named = points_named("target", target, self.mesh)[0]
-            if isinstance(named, FacePoint) or not self._all:
-                raise InvalidInputError(
-                    "target",
-                    "be a vertex" if self._all else "be one of `targets`",
-                    f"{target!r}",
-                    advice="name it in GeodesicPaths(mesh, sources, targets=...)",
-                )
-            end = named
-        if not np.isfinite(distances[end]):
+        from spectra_kit.geodesics._walk_kernels import backtrace
+
+        named = points_named("target", target, self.mesh)[0]
+        end = self._places.get(named, named if self._all else None)
+        if not isinstance(end, int):
+            raise InvalidInputError(
+                "target",
+                "be a vertex" if self._all else "be one of `targets`",
+                f"{target!r}",
+                advice="name it in GeodesicPaths(mesh, sources, targets=...)",
+            )
+        if not np.isfinite(self._known.distances[end]):
             raise InvalidInputError(
                 "target",
                 "be reached from a source along faces",
                 f"{target!r}, which is on another component",
                 advice="`mesh.component_labels` tells them apart",
             )
-        faces, ends = self._segments(end)
-        return path_of(split, faces[::-1], ends[::-1, ::-1], end)
-
-    def _segments(self, v: int) -> tuple[Ints, Floats]:
-        """Return faces (m,) and ends (m, 2, 3) of the segments from v back to its source."""
-        from spectra_kit.geodesics._walk_kernels import LOST, NO_ROOM, backtrace
-
-        room = _ROOM
-        while True:
-            faces, ends = np.empty(room, np.int64), np.empty((room, 2, 3))
-            count = backtrace(*self._walk, v, faces, ends)
-            if count == LOST:
-                raise ConvergenceError(
-                    f"the path to vertex {v} is lost in triangles that are extremely thin; its"
-                    " length is known: remesh to see where it goes"
-                )
-            if count != NO_ROOM:
-                return faces[:count], ends[:count]
-            room *= 2
-
-    @cached_property
-    def _walk(self) -> tuple[Surface, Ways]:
-        return walk_of(self._known)
+        faces, ends, count, side, _ = backtrace(self._known.soup, self._known.front, end)
+        if count and side < 0:
+            raise ConvergenceError(
+                f"the path to {target!r} is lost in triangles that are extremely thin; its length"
+                " is known: remesh to see where it goes"
+            )
+        return path_of(self._split, faces[:count][::-1], ends[:count][::-1, ::-1], end)
 
 
 @checked
@@ -220,10 +177,8 @@ def geodesic_path(
     ----------
     mesh : TriangleMesh
         Any topology, as of `exact_distances`.
-    source : int or FacePoint
-        A vertex, or a point of a face, where it begins.
-    target : int or FacePoint
-        Where it ends.
+    source, target : int or FacePoint
+        Vertices, or points of faces, where it begins and ends.
 
     Returns
     -------
@@ -239,7 +194,6 @@ def geodesic_path(
     --------
     GeodesicPaths : Many paths from one source.
     shortened_path : The shortest of those that wind as a given one.
-    nearest_source : The point of a mesh that is nearest to a coordinate.
 
     Examples
     --------
@@ -251,8 +205,6 @@ def geodesic_path(
     >>> path = sk.geodesic_path(roof, 0, 5)
     >>> bool(abs(path.length**2 - (4**2 + 2 * 4**2)) < 1e-12)
     True
-    >>> path.points[-2]
-    array([2.666..., 2.666..., 1.333...])
     """
     (begin,), (end,) = (
         points_named(name, point, mesh) for name, point in (("source", source), ("target", target))
@@ -273,19 +225,3 @@ def path_of(split: Split, faces: Ints, ends: Floats, start: int) -> SurfacePath:
         faces, weights = where[:, 0], np.eye(3)[where[:, 1]]
     points = np.einsum("pc,pcr->pr", weights, mesh.points[mesh.faces[faces]])
     return SurfacePath(points, *split.original(faces, weights))
-
-
-def surface_of(soup: Soup) -> Surface:
-    """Return what the walks need of the triangles."""
-    from spectra_kit.geodesics._walk_kernels import Surface
-
-    return Surface(soup.tails, soup.lengths, soup.apex_x, soup.apex_y, soup.around)
-
-
-def walk_of(known: Propagated) -> tuple[Surface, Ways]:
-    """Return what the walks back need of what is known."""
-    from spectra_kit.geodesics._walk_kernels import Ways
-
-    front = known.front
-    ways = Ways(front.d, front.arrived, front.seen, front.came, front.earlier)
-    return surface_of(known.soup), ways

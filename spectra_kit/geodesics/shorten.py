@@ -7,44 +7,37 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.types import Ints
 from spectra_kit._core.validate import check_indices
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics.paths import SurfacePath
 from spectra_kit.geodesics.sources import points_named
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.geometry.shapes import box_unit
+from spectra_kit.geometry.winding import turn, wound_against
 
 
 @checked
 def shortened_path(mesh: TriangleMesh, vertices: ArrayLike, *, closed: bool = False) -> SurfacePath:
     """Pull a path along edges tight, without lifting it over what it winds around.
 
+    Sharp and Crane, *You can find geodesic paths in triangle meshes by just flipping edges*, ACM
+    Transactions on Graphics 39 (6), 2020; by potpourri3d, whose points are located on faces here.
+
     Parameters
     ----------
     mesh : TriangleMesh
         Manifold, and orientable.
     vertices : array_like of shape (m,), integers
-        What the path passes, one after the other; in between it takes the shortest way along
-        edges. Two or more; three or more if it is closed.
+        What the path passes, one after the other, by the shortest ways along edges. Two or more;
+        three or more if it is closed.
     closed : bool, default False
-        Go on from the last to the first, which may be named again: a loop, with no ends. The
-        first point of the result is its last again.
+        Go on from the last to the first, which may be named again: a loop, with no ends.
 
     Returns
     -------
     SurfacePath
-        Locally shortest: no small change makes it shorter. A loop that winds around nothing
-        becomes an edge, walked there and back.
-
-    See Also
-    --------
-    geodesic_path : The shortest of all.
-
-    Notes
-    -----
-    Sharp and Crane, *You can find geodesic paths in triangle meshes by just flipping edges*, ACM
-    Transactions on Graphics 39 (6), 2020; by potpourri3d, whose points are located on faces here.
+        Locally shortest: no small change makes it shorter. Of a loop, the first point is its last
+        again; one that winds around nothing becomes an edge, walked there and back.
 
     Examples
     --------
@@ -66,17 +59,22 @@ def shortened_path(mesh: TriangleMesh, vertices: ArrayLike, *, closed: bool = Fa
     if closed and chain.ndim == 1 and len(chain) > least and chain[0] == chain[-1]:
         chain = chain[:-1]  # said twice
     if chain.ndim != 1 or len(chain) < least or (np.diff(chain) == 0).any():
-        raise InvalidInputError(
-            "vertices",
-            f"name {least} or more vertices, none twice in a row",
-            f"shape {chain.shape}" if chain.ndim != 1 or len(chain) < least else "one twice",
-        )
+        expected = f"name {least} or more vertices, none twice in a row"
+        raise InvalidInputError("vertices", expected, f"{chain.ravel()[:9].tolist()}")
     points_named("vertices", chain, mesh)
     labels = mesh.component_labels[chain]
     if (labels != labels[0]).any():
         raise InvalidInputError("vertices", "lie on one component", "vertices of several")
-    faces, _ = igl.bfs_orient(np.array(mesh.faces))
-    _check_manifold(faces)
+    turned, clashes = wound_against(mesh)
+    faces = turn(mesh.faces, turned)
+    two_faces = not clashes and mesh.unique_edges[1].max() <= 2
+    if not two_faces or not igl.is_vertex_manifold(faces)[mesh.referenced_vertices].all():
+        raise InvalidInputError(
+            "mesh",
+            "be an orientable manifold",
+            "edges of several faces, vertices with several fans, or one side only",
+            advice="geodesic_path takes any mesh",
+        )
     unit = box_unit(mesh.points)
     points = mesh.points / unit
     solver = pp3d.EdgeFlipGeodesicSolver(points, faces)
@@ -89,16 +87,3 @@ def shortened_path(mesh: TriangleMesh, vertices: ArrayLike, *, closed: bool = Fa
     corners = [np.ascontiguousarray(points[faces[held, c]]) for c in range(3)]
     weights = np.maximum(igl.barycentric_coordinates(line, *corners), 0.0)
     return SurfacePath(line * unit, held, weights / weights.sum(axis=1, keepdims=True))
-
-
-def _check_manifold(faces: Ints) -> None:
-    """Refuse faces that are no oriented surface: around each edge two at most, one each way."""
-    tails, heads = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    _, times = np.unique(np.column_stack([tails, heads]), axis=0, return_counts=True)
-    if times.max() > 1 or not igl.is_vertex_manifold(faces)[np.unique(faces)].all():
-        raise InvalidInputError(
-            "mesh",
-            "be an orientable manifold",
-            "edges of several faces, vertices with several fans, or one side only",
-            advice="geodesic_path takes any mesh",
-        )

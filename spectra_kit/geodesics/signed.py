@@ -11,12 +11,11 @@ from numpy.typing import ArrayLike
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_indices
-from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics.vectors import VectorHeat
 from spectra_kit.geometry import Geometry
+from spectra_kit.geometry.vectors import unit_vectors
 from spectra_kit.operators import oriented_triangles
-from spectra_kit.operators.connection import unit_vectors
 from spectra_kit.operators.tangent import outward
 from spectra_kit.operators.triangle_calculus import opposite_cotangents
 
@@ -26,6 +25,10 @@ _CANCELLED = 1e-9  # of a step along a curve
 @checked
 def signed_distance(geometry: Geometry, curves: ArrayLike | Sequence[ArrayLike]) -> Floats:
     """Measure how far all points are from oriented curves, and on which side.
+
+    Feng and Crane, *A Heat Method for Generalized Signed Distance*, ACM TOG 43(4), 2024: normals of
+    the curves are carried away by `VectorHeat`, and the distance is the function whose slopes along
+    the edges are nearest to the unit vectors, with the weights of the Laplacian.
 
     Parameters
     ----------
@@ -41,13 +44,6 @@ def signed_distance(geometry: Geometry, curves: ArrayLike | Sequence[ArrayLike])
         In length, zero on the curves; negative to the left of them, seen from outside: inside of
         what is walked around counter-clockwise. Around the ends of an open curve the sign changes
         gradually. NaN on components without a curve.
-
-    Notes
-    -----
-    Feng and Crane, *A Heat Method for Generalized Signed Distance*, ACM TOG 43(4), 2024, with
-    vectors at the points as in `VectorHeat`: normals of the curves are carried away by heat, and
-    the distance is the function whose slopes along the edges are nearest to the unit vectors, with
-    the weights of the Laplacian.
 
     Examples
     --------
@@ -90,14 +86,9 @@ def signed_distance(geometry: Geometry, curves: ArrayLike | Sequence[ArrayLike])
     weights = triangulation.share / 2 * opposite_cotangents(triangulation.lengths)
     rise = slope * (weights * triangulation.lengths).ravel()
     flow = np.subtract(*(np.bincount(end, rise, geometry.n) for end in (j, i)), dtype=np.float64)
-    laplacian = triangulation.laplacian
-    labels, held = laplacian.component_labels, np.concatenate(chains)
-    free = np.setdiff1d(np.flatnonzero(np.isin(labels, labels[held])), held)
-    distance = np.full(geometry.n, np.nan)
-    distance[held] = 0.0
-    if len(free):
-        part = laplacian.restricted(free)
-        distance[free] = SparseLDL(part.stiffness).solve(flow[free])
+    held, labels = np.unique(np.concatenate(chains)), triangulation.laplacian.component_labels
+    distance = triangulation.laplacian.solve(flow, fixed=held)
+    distance[~np.isin(labels, labels[held])] = np.nan
     return distance
 
 

@@ -164,15 +164,9 @@ def check_sources(
             expected = f"belong to the geometry of {geometry.n} points"
             raise InvalidInputError("sources", expected, f"those of one of {sources.n}")
         return sources
-    named = named_sources(sources, geometry)
-    if not named:
-        raise InvalidInputError("sources", "name at least one source", "none")
-    emitted = np.ones(len(named)) if weights is None else _check_weights(weights, len(named))
-    rows = [_spread(source, geometry) for source in named]
-    every = np.concatenate([row[0] for row in rows])
-    shares = np.concatenate([w * row[1] for w, row in zip(emitted, rows, strict=True)])
-    lengths = np.concatenate([row[2] for row in rows])
-    _check_used("sources", every, geometry)
+    owners, every, shares, lengths = spread(sources, geometry)
+    if weights is not None:
+        shares = shares * _check_weights(weights, int(owners[-1]) + 1)[owners]
     vertices, index = np.unique(every, return_inverse=True)
     offsets = np.full(len(vertices), np.inf)
     np.minimum.at(offsets, index, lengths)
@@ -242,15 +236,29 @@ def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint
 
 
 def points_named(name: str, points: Any, mesh: TriangleMesh) -> list[int | FacePoint]:
-    """Return vertices and points of faces one by one, all of them on the surface."""
+    """Return points one by one, all of them on the surface; a vertex as such, however named."""
     named = named_sources(points, mesh, name)
     if not named:
         raise InvalidInputError(name, "name at least one point", "none")
-    for point in named:
+    for i, point in enumerate(named):
         if isinstance(point, FacePoint):
-            _corners(point, mesh)
+            corners = _corners(point, mesh)
+            if max(point.barycentric) == 1:
+                named[i] = int(corners[np.argmax(point.barycentric)])
     _check_used(name, np.array([p for p in named if not isinstance(p, FacePoint)], int), mesh)
     return named
+
+
+def spread(sources: Any, geometry: HasPoints) -> tuple[Ints, Ints, Floats, Floats]:
+    """Return which source heats which vertices, what share of it that is, and how far it is."""
+    named = named_sources(sources, geometry)
+    if not named:
+        raise InvalidInputError("sources", "name at least one source", "none")
+    rows = [_spread(source, geometry) for source in named]
+    owners = np.repeat(np.arange(len(rows)), [len(row[0]) for row in rows])
+    points, shares, lengths = (np.concatenate(column) for column in zip(*rows, strict=True))
+    _check_used("sources", points, geometry)
+    return owners, points, shares, lengths
 
 
 def _check_used(name: str, vertices: Ints, geometry: HasPoints) -> None:
@@ -282,18 +290,17 @@ def named_sources(
         return list(sources.vertices.tolist())
     if isinstance(sources, FacePoint):
         return [sources]
-    if isinstance(sources, Sequence) and any(isinstance(s, FacePoint) for s in sources):
-        last = geometry.n - 1
+    listed = isinstance(sources, Sequence)
+    if listed and (not len(sources) or any(isinstance(s, FacePoint) for s in sources)):
+        high = geometry.n - 1  # to NumPy an empty list is one of floats
         return [
-            s if isinstance(s, FacePoint) else check_count(name, s, low=0, high=last)
+            s if isinstance(s, FacePoint) else check_count(name, s, low=0, high=high)
             for s in sources
         ]
     if isinstance(sources, np.ndarray) and sources.dtype == bool:
         if sources.shape != (geometry.n,):
             raise InvalidInputError(name, f"have shape ({geometry.n},) as a mask", sources.shape)
         sources = np.flatnonzero(sources)
-    if isinstance(sources, Sequence) and not sources:
-        return []  # to NumPy an empty list is one of floats
     array = check_indices(name, sources, geometry.n)
     if array.ndim > 1:
         raise InvalidInputError(

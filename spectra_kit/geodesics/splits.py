@@ -20,12 +20,9 @@ class Split(NamedTuple):
     """A mesh whose vertices certain points are."""
 
     mesh: TriangleMesh
-    vertices: list[int]
-    """Of each point."""
-    faces: Ints
-    """The face that was there, of each face (f,)."""
-    corners: Floats
-    """Barycentric coordinates, in it, of the corners of the last of these faces, (m, 3, 3)."""
+    vertices: list[int]  # of each point
+    faces: Ints  # (f,), the face that was there, of each face
+    corners: Floats  # (m, 3, 3), barycentric coordinates, in it, of those of the last m faces
 
     def original(self, faces: Ints, weights: Floats) -> tuple[Ints, Floats]:
         """Return faces (p,) that were there, and barycentric coordinates (p, 3) in them."""
@@ -48,52 +45,64 @@ def split_at(mesh: TriangleMesh, points: Iterable[int | FacePoint]) -> Split:
         if isinstance(point, int):
             vertices.append(point)
             continue
-        face, weights = point.face, np.array(point.barycentric)
-        piece, inside = _holding(_pieces(mesh, pieces, face), weights)
-        near = inside > _AT
-        if near.sum() == 1:
-            vertices.append(piece.vertices[int(np.argmax(inside))])
+        _cut_open(mesh, pieces, [point.face])
+        piece, inside = _holding(pieces[point.face], np.array(point.barycentric))
+        near = np.flatnonzero(inside > _AT)
+        around = [piece.vertices[c] for c in near]
+        if len(around) == 1:
+            vertices.append(around[0])
             continue
         new = mesh.n + len(positions)
         positions.append(point.position(mesh))
         vertices.append(new)
-        if near.all():
-            pieces[face].remove(piece)
-            pieces[face] += [piece.with_corner(c, new, weights) for c in range(3)]
-            continue
-        a, b = (piece.vertices[c] for c in np.flatnonzero(near))
-        share = inside[near][1] / inside[near].sum()
-        _split_edge(mesh, pieces, a, b, new, share)
-    whole = np.setdiff1d(np.arange(len(mesh.faces)), list(pieces))
-    cut = [(face, piece) for face, parts in sorted(pieces.items()) for piece in parts]
-    if not cut:
+        on_edge = len(around) == 2
+        if on_edge and max(around) < mesh.n:
+            between = np.isin(mesh.faces, around).sum(axis=1) == 2
+            _cut_open(mesh, pieces, np.flatnonzero(between).tolist())
+        shares = inside[near] / inside[near].sum()
+        for face in [*pieces] if on_edge else [point.face]:
+            pieces[face] = [cut for part in pieces[face] for cut in part.cut(around, shares, new)]
+    if not pieces:
         return Split(mesh, vertices, np.arange(len(mesh.faces)), np.empty((0, 3, 3)))
+    whole = np.setdiff1d(np.arange(len(mesh.faces)), list(pieces))
+    found = [(face, piece) for face, parts in sorted(pieces.items()) for piece in parts]
     return Split(
         TriangleMesh(
             np.vstack([mesh.points, *positions]),
-            np.vstack([mesh.faces[whole], [piece.vertices for _, piece in cut]]),
+            np.vstack([mesh.faces[whole], [piece.vertices for _, piece in found]]),
         ),
         vertices,
-        np.append(whole, [face for face, _ in cut]),
-        np.stack([piece.corners for _, piece in cut]),
+        np.append(whole, [face for face, _ in found]),
+        np.stack([piece.corners for _, piece in found]),
     )
 
 
-class _Piece:
+class _Piece(NamedTuple):
     """A triangle within a face: its vertices, and where they lie in the face, (3, 3)."""
 
-    def __init__(self, vertices: list[int], corners: Floats) -> None:
-        self.vertices, self.corners = vertices, corners
+    vertices: list[int]
+    corners: Floats
 
-    def with_corner(self, c: int, vertex: int, weights: Floats) -> _Piece:
-        vertices, corners = list(self.vertices), self.corners.copy()
-        vertices[c], corners[c] = vertex, weights
-        return _Piece(vertices, corners)
+    def cut(self, around: list[int], shares: Floats, new: int) -> list[_Piece]:
+        """Return triangles in which a new vertex stands for each of `around` in turn.
+
+        Itself where these are not all its own.
+        """
+        if not set(around) <= set(self.vertices):
+            return [self]
+        at = [self.vertices.index(v) for v in around]
+        found = []
+        for c in at:
+            vertices, corners = list(self.vertices), self.corners.copy()
+            vertices[c], corners[c] = new, shares @ self.corners[at]
+            found.append(_Piece(vertices, corners))
+        return found
 
 
-def _pieces(mesh: TriangleMesh, pieces: dict[int, list[_Piece]], face: int) -> list[_Piece]:
-    """Return what a face is cut into, which it is from now on."""
-    return pieces.setdefault(face, [_Piece(mesh.faces[face].tolist(), np.eye(3))])
+def _cut_open(mesh: TriangleMesh, pieces: dict[int, list[_Piece]], faces: list[int]) -> None:
+    """Add faces to those that are, or will be, in pieces."""
+    for face in faces:
+        pieces.setdefault(face, [_Piece(mesh.faces[face].tolist(), np.eye(3))])
 
 
 def _holding(parts: list[_Piece], weights: Floats) -> tuple[_Piece, Floats]:
@@ -101,22 +110,3 @@ def _holding(parts: list[_Piece], weights: Floats) -> tuple[_Piece, Floats]:
     inside = [np.linalg.solve(piece.corners.T, weights) for piece in parts]
     best = int(np.argmax([coordinates.min() for coordinates in inside]))
     return parts[best], np.asarray(inside[best])
-
-
-def _split_edge(
-    mesh: TriangleMesh, pieces: dict[int, list[_Piece]], a: int, b: int, new: int, share: float
-) -> None:
-    """Cut all triangles between vertices a and b at a share of the way from one to the other."""
-    if max(a, b) < mesh.n:
-        for face in np.flatnonzero((np.isin(mesh.faces, (a, b))).sum(axis=1) == 2).tolist():
-            _pieces(mesh, pieces, face)
-    for face, parts in pieces.items():
-        cut = []
-        for piece in parts:
-            if a not in piece.vertices or b not in piece.vertices:
-                cut.append(piece)
-                continue
-            i, j = piece.vertices.index(a), piece.vertices.index(b)
-            at = (1 - share) * piece.corners[i] + share * piece.corners[j]
-            cut += [piece.with_corner(i, new, at), piece.with_corner(j, new, at)]
-        pieces[face] = cut

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,35 +11,32 @@ from numpy.typing import ArrayLike
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import check_count, check_positive, real_array
+from spectra_kit._core.validate import check_count, check_positive
 from spectra_kit._core.warn import warn
 from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.exact import propagated, soup_of
-from spectra_kit.geodesics.paths import SurfacePath, path_of, surface_of, walk_of
+from spectra_kit.geodesics.paths import SurfacePath, path_of
 from spectra_kit.geodesics.sources import FacePoint, points_named
 from spectra_kit.geodesics.splits import split_at
 from spectra_kit.geodesics.vectors import VectorHeat
 from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.geometry.vectors import frames_of, unit_vectors
+from spectra_kit.operators.checks import of_shape
 
 if TYPE_CHECKING:
     from spectra_kit.geodesics._exact_kernels import Soup
 
-_ROOM = 1024  # segments of a path to begin with
-_MOST = 2**22  # segments that are a path, and not a length in another unit
 _ROUNDING = 1e-12  # of a length
+_ALONG = 1e-9  # of a turn off a boundary, a path that runs along it
 
 
 class Fan(NamedTuple):
     """The corners around a vertex, one after the other, and the angles they begin at."""
 
-    sides: Ints
-    """Corners, as the side that begins there, (d,)."""
-    forward: Ints
-    """1 where the turn is from that side to the one before, as the face is wound; or -1."""
-    angles: Floats
-    """Of each corner, (d,)."""
-    begins: Floats
-    """Sum of those before, (d,)."""
+    sides: Ints  # (d,), corners, as the side that begins there
+    forward: Ints  # 1 where the turn is from that side to the one before, or -1
+    angles: Floats  # of each corner
+    begins: Floats  # the sums of those before
     closed: bool
 
     @property
@@ -51,6 +48,10 @@ class Fan(NamedTuple):
     def scale(self) -> float:
         """What directions are turned by for each of these angles: all around is a full turn."""
         return 2 * np.pi / self.total if self.closed else 1.0
+
+    def turned(self, i: Any, angle: Any) -> Any:
+        """Return angles from the side of corner i as angles from where it begins, or back."""
+        return np.where(self.forward[i] > 0, angle, self.angles[i] - angle)
 
 
 @checked
@@ -64,16 +65,14 @@ class LogarithmicMap(Rebuilt):
         Of each point in the tangent plane of the source: its norm is the distance. NaN where no
         path leads.
     axes : ndarray of shape (2, 3)
-        The axes of that plane, of unit length: ``coordinates @ axes`` are vectors in space, which
-        `trace_geodesic` takes.
+        Unit axes of that plane: ``coordinates @ axes`` are vectors that `trace_geodesic` takes.
 
     Examples
     --------
-    >>> import numpy as np
     >>> import spectra_kit as sk
     >>> mesh = sk.geometry.rectangle(n=200).geometry
     >>> found = sk.geodesics.logarithmic_map(mesh, 50)
-    >>> bool(np.allclose(found.coordinates @ found.axes, mesh.points - mesh.points[50]))
+    >>> bool(abs(found.coordinates @ found.axes - mesh.points + mesh.points[50]).max() < 1e-9)
     True
     """
 
@@ -91,10 +90,13 @@ def trace_geodesic(
 ) -> SurfacePath:
     """Follow the straightest path from a point in a direction: the exponential map.
 
+    Polthier and Schmies, *Straightest geodesics on polyhedral surfaces*, Mathematical
+    Visualization, 1998.
+
     Parameters
     ----------
     mesh : TriangleMesh
-        With n vertices; of any winding.
+        Of any winding.
     source : int or FacePoint
         Where it begins.
     direction : array_like of shape (3,)
@@ -114,12 +116,6 @@ def trace_geodesic(
         If it is shorter than `length`, as it meets the boundary, or an edge or vertex where more
         than two sheets meet, so that straight on has no meaning.
 
-    Notes
-    -----
-    Polthier and Schmies, *Straightest geodesics on polyhedral surfaces*, Mathematical
-    Visualization, 1998. potpourri3d traces on manifold meshes of one winding, and returns points
-    alone.
-
     Examples
     --------
     Once around a sphere:
@@ -133,9 +129,7 @@ def trace_geodesic(
     """
     if length is not None:
         check_positive("length", length)
-    towards = real_array("direction", direction)
-    if towards.shape != (3,):
-        raise InvalidInputError("direction", "have shape (3,)", towards.shape)
+    towards = of_shape("direction", direction, (3,))
     split = split_at(mesh, points_named("source", source, mesh))
     v, (soup, unit) = split.vertices[0], soup_of(split.mesh)
     fan = fan_of(soup, v, "source")
@@ -148,14 +142,12 @@ def trace_geodesic(
             "have a part in the tangent plane",
             f"{towards.tolist()}, along the normal" if towards.any() else "the zero vector",
         )
-    angle = float(np.arctan2(y, x)) % (2 * np.pi) / fan.scale
-    if not fan.closed and angle > fan.total:
-        turn = 2 * np.pi - angle
-        if min(angle - fan.total, turn) > 1e-9:
-            raise InvalidInputError(
-                "direction", "lead onto the surface from the boundary", f"{towards.tolist()}"
-            )
-        angle = fan.total if angle - fan.total < turn else 0.0
+    turn = float(np.arctan2(y, x)) % (2 * np.pi)
+    angle = turn / fan.scale if turn < 2 * np.pi - _ALONG else 0.0
+    if angle > fan.total + _ALONG:  # which closed fans have not
+        raise InvalidInputError(
+            "direction", "lead onto the surface from the boundary", f"{towards.tolist()}"
+        )
     wanted = tangent if length is None else float(length)
     faces, ends, missing = _traced(soup, fan, angle, wanted / unit[v])
     if missing > 0:
@@ -182,10 +174,9 @@ def logarithmic_map(geometry: Geometry, source: int | FacePoint) -> LogarithmicM
     Returns
     -------
     LogarithmicMap
-        Coordinates (n, 2). Those of a mesh are exact, of the shortest paths: they jump where two
-        of these are as short; beyond vertices with more than a full turn of angles, and beyond
-        holes, all that is behind lies in one direction. Those of a cloud are by heat, as is
-        `VectorHeat.logarithm`, which large meshes may take too; far away they fall short, on a unit
+        Of a mesh exact, of the shortest paths: it jumps where two of these are as short, and all
+        that is behind a saddle or a hole lies in one direction. Of a cloud by heat, as is
+        `VectorHeat.logarithm`, which large meshes may take too: far away it falls short, on a unit
         sphere by 3 % at distances of 2 to 2.8, by a third beyond.
 
     Warns
@@ -195,15 +186,14 @@ def logarithmic_map(geometry: Geometry, source: int | FacePoint) -> LogarithmicM
 
     Examples
     --------
-    >>> import numpy as np
     >>> import spectra_kit as sk
     >>> mesh = sk.geometry.sphere(subdivisions=3).geometry
     >>> found = sk.geodesics.logarithmic_map(mesh, 0)
     >>> path = sk.geodesics.trace_geodesic(mesh, 0, found.coordinates[100] @ found.axes)
-    >>> bool(np.allclose(path.points[-1], mesh.points[100]))
+    >>> bool(abs(path.points[-1] - mesh.points[100]).max() < 1e-9)
     True
     """
-    from spectra_kit.geodesics._walk_kernels import NO_ROOM, last_segments
+    from spectra_kit.geodesics._walk_kernels import backtrace
 
     if not isinstance(geometry, TriangleMesh):
         if isinstance(source, FacePoint):
@@ -217,18 +207,13 @@ def logarithmic_map(geometry: Geometry, source: int | FacePoint) -> LogarithmicM
     v, n = split.vertices[0], split.mesh.n
     known = propagated(split.mesh, np.array([v]), np.arange(n))
     fan = fan_of(known.soup, v, "source")
-    last, at, room = np.empty(n, np.int64), np.empty((n, 3)), _ROOM
-    while last_segments(*walk_of(known), *_buffers(room), last, at) == NO_ROOM:
-        room *= 2
-    reached = np.flatnonzero(last >= 0)
-    faces = split.mesh.faces[last[reached]]
-    side = 3 * last[reached] + np.argmax(faces == v, axis=1)
+    left = [backtrace(known.soup, known.front, w)[3:] for w in range(n)]
+    sides, inside = (np.array(column) for column in zip(*left, strict=True))
+    reached = np.flatnonzero(sides >= 0)
     place = np.zeros(3 * len(split.mesh.faces), dtype=np.int64)
     place[fan.sides] = np.arange(len(fan.sides))
-    i = place[side]
-    inside = _angles_in(known.soup, side, at[reached])
-    turned = np.where(fan.forward[i] > 0, inside, fan.angles[i] - inside)
-    angle = (fan.begins[i] + turned) * fan.scale
+    i = place[sides[reached]]
+    angle = (fan.begins[i] + fan.turned(i, inside[reached])) * fan.scale
     coordinates = np.full((n, 2), np.nan)
     distance = known.distances[reached, None]
     coordinates[reached] = distance * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -246,143 +231,78 @@ def logarithmic_map(geometry: Geometry, source: int | FacePoint) -> LogarithmicM
 
 def fan_of(soup: Soup, v: int, name: str) -> Fan:
     """Return the fan of faces around a vertex, if it is one."""
-    around = list(soup.corners[soup.first[v] : soup.first[v + 1]])
-    turned, closed = _turned(soup, v, around[0], 1, name)
-    if not closed:
-        back, _ = _turned(soup, v, around[0], -1, name)
-        turned = [(side, -way) for side, way in reversed(back[1:])] + turned
-    if len(turned) != len(around):
-        raise _no_fan(name, v, "several fans of faces around it")
-    sides, ways = (np.array(column) for column in zip(*turned, strict=True))
+    corners = soup.corners[soup.first[v] : soup.first[v + 1]]
+    face, c = corners - corners % 3, corners % 3
+    after, before = (soup.tails[face + (c + i) % 3].tolist() for i in (1, 2))
+    beside: dict[int, list[int]] = {}
+    for i, (one, other) in enumerate(zip(after, before, strict=True)):
+        beside.setdefault(one, []).append(i)
+        beside.setdefault(other, []).append(i)
+    rim = [w for w, corners_there in beside.items() if len(corners_there) == 1]
+    at = next((w for w in rim if w in after), after[0])  # where the turn begins
+    places, ways, left = list[int](), list[int](), set(range(len(corners)))
+    while here := [i for i in beside[at] if i in left]:
+        places.append(here[0])
+        left.remove(here[0])
+        ways.append(1 if after[here[0]] == at else -1)
+        at = before[here[0]] if ways[-1] > 0 else after[here[0]]
+    several = max(map(len, beside.values())) > 2
+    if several or left:
+        got = "an edge of more than two faces" if several else "several fans of faces around it"
+        raise InvalidInputError(
+            name,
+            "lie on one sheet",
+            f"vertex {v} with {got}, so that directions have no order",
+            advice="take a point beside it",
+        )
+    sides = corners[places]
     angles = np.arctan2(soup.apex_y[sides], soup.apex_x[sides])
-    return Fan(sides, ways, angles, np.append(0.0, np.cumsum(angles)[:-1]), closed)
-
-
-def _turned(
-    soup: Soup, v: int, side: int, way: int, name: str
-) -> tuple[list[tuple[int, int]], bool]:
-    """Go round vertex v from a corner, and return the corners, and whether they close."""
-    first, found = side, []
-    while True:
-        found.append((int(side), way))
-        edge = _before(side) if way > 0 else side
-        other = soup.around[edge]
-        if other == edge:
-            return found, False
-        if soup.around[other] != edge:
-            raise _no_fan(name, v, "an edge of more than two faces")
-        # It either begins at v, so that the turn enters by it, or ends there.
-        side, way = (other, 1) if soup.tails[other] == v else (_after(other), -1)
-        if side == first:
-            return found, True
-
-
-def _no_fan(name: str, v: int, got: str) -> InvalidInputError:
-    return InvalidInputError(
-        name,
-        "lie on one sheet",
-        f"vertex {v} with {got}, so that directions have no order",
-        advice="take a point beside it",
-    )
-
-
-def _after(side: int) -> int:
-    return side + 1 if side % 3 < 2 else side - 2
-
-
-def _before(side: int) -> int:
-    return side - 1 if side % 3 else side + 2
+    return Fan(sides, np.array(ways), angles, np.append(0.0, np.cumsum(angles)[:-1]), not rim)
 
 
 def _axes(mesh: TriangleMesh, fan: Fan) -> Floats:
     """Return the axes (2, 3) of the tangent plane, turned so that edges fit their angles best."""
-    faces, c = mesh.faces[fan.sides // 3], fan.sides % 3
-    rows = np.arange(len(faces))
-    at, after, before = (mesh.points[faces[rows, (c + i) % 3]] for i in range(3))
-    size = np.abs(after - at).max()  # powers of a length in any unit are in range
-    ways = np.stack([after - at, before - at]) / size
-    normals = np.cross(*ways)
-    areas = np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)
-    normal = (fan.forward * fan.angles / areas) @ normals
-    normal /= np.linalg.norm(normal)
+    rows, corner = fan.sides // 3, fan.sides % 3
+    at, after, before = (mesh.points[mesh.faces[rows, (corner + i) % 3]] for i in range(3))
+    ways = np.stack([after - at, before - at])
+    ways /= np.abs(ways).max()  # powers of a length in any unit are in range
+    normal = (fan.forward * fan.angles) @ unit_vectors(np.cross(*ways))
+    axes = frames_of(unit_vectors(normal))[:2]
     # In any axes of that plane, edges as complex numbers, and what turns them to their angles.
-    first = np.linalg.svd(normal[None])[2][1]
-    axes = np.stack([first, np.cross(normal, first)])
-    forward = fan.forward > 0
-    begins, ends = np.where(forward[:, None], ways, ways[::-1])
+    seen = np.where(fan.forward[:, None] > 0, ways, ways[::-1]) @ axes.T @ [1, 1j]
     angles = np.stack([fan.begins, fan.begins + fan.angles]) * fan.scale
-    seen = np.stack([begins, ends]) @ axes.T @ [1, 1j]
-    turn = (seen / np.abs(seen) * np.exp(-1j * angles)).sum()
-    cos, sin = turn.real / abs(turn), turn.imag / abs(turn)
-    return np.asarray(np.array([[cos, sin], [-sin, cos]]) @ axes)
-
-
-def _plane(soup: Soup, sides: Ints) -> tuple[Floats, Floats, Floats]:
-    """Return corners (s, 3, 2) in the frames of their faces; origins and axes (s, 2) of sides."""
-    face = 3 * (sides // 3)
-    corners = np.zeros((len(sides), 3, 2))
-    corners[:, 1, 0] = soup.lengths[face]
-    corners[:, 2] = np.column_stack([soup.apex_x[face], soup.apex_y[face]])
-    rows, c = np.arange(len(sides)), sides % 3
-    origin, head = corners[rows, c], corners[rows, (c + 1) % 3]
-    return corners, origin, (head - origin) / np.linalg.norm(head - origin, axis=1)[:, None]
-
-
-def _angles_in(soup: Soup, sides: Ints, weights: Floats) -> Floats:
-    """Return the angle from each side at its tail to a point of its face, by weights (s, 3)."""
-    corners, origin, axis = _plane(soup, sides)
-    x, y = (np.einsum("sc,scx->sx", weights, corners) - origin).T
-    across, along = y * axis[:, 0] - x * axis[:, 1], x * axis[:, 0] + y * axis[:, 1]
-    return np.asarray(np.arctan2(across, along))
+    turn = np.exp(1j * (np.angle(seen) - angles)).sum()
+    turn /= abs(turn)
+    return np.asarray([[turn.real, turn.imag], [-turn.imag, turn.real]] @ axes)
 
 
 def _traced(soup: Soup, fan: Fan, angle: float, length: float) -> tuple[Ints, Floats, float]:
     """Return faces and ends of the segments of a straightest path, and how much is missing."""
-    from spectra_kit.geodesics._walk_kernels import CORNER, NO_ROOM, THERE, trace
+    from spectra_kit.geodesics._walk_kernels import CORNER, ENDLESS, MOST, trace
 
-    surface, parts = surface_of(soup), []
-    room, whole = _ROOM, length
+    parts, missing = [], length
     while True:
         i = min(int(np.searchsorted(fan.begins, angle, side="right")) - 1, len(fan.sides) - 1)
-        side, inside = int(fan.sides[i]), min(angle - fan.begins[i], fan.angles[i])
-        if fan.forward[i] < 0:
-            inside = fan.angles[i] - inside
-        _, origin, axis = _plane(soup, np.array([side]))
-        (ox, oy), (ax, ay) = origin[0], axis[0]
-        cos, sin = length * np.cos(inside), length * np.sin(inside)
-        x, y = ox + cos * ax - sin * ay, oy + cos * ay + sin * ax
-        how = NO_ROOM
-        while how == NO_ROOM:
-            if room > _MOST:
-                raise InvalidInputError(
-                    "length",
-                    f"cross fewer than {_MOST} edges",
-                    f"{whole:.3g} times the extent of the surface",
-                    advice="is the unit the same?",
-                )
-            faces, ends = _buffers(room)
-            count, how, met, rx, ry = trace(surface, side // 3, side % 3, x, y, faces, ends)
-            room *= 2 if how == NO_ROOM else 1
-        parts.append((faces[:count].copy(), ends[:count].copy()))  # not the room around them
-        length = 0.0 if how == THERE else float(np.hypot(rx, ry))
-        if how != CORNER or length <= _ROUNDING * whole:
+        inside = fan.turned(i, min(angle - fan.begins[i], fan.angles[i]))
+        side = int(fan.sides[i])
+        faces, ends, count, how, met, back, missing = trace(soup, side, float(inside), missing)
+        if how == ENDLESS:
+            raise InvalidInputError(
+                "length",
+                f"cross fewer than {MOST} edges",
+                f"{length:.3g} times the extent of the surface",
+                advice="is the unit the same?",
+            )
+        parts.append((faces[:count], ends[:count]))
+        if how != CORNER or missing <= _ROUNDING * length:
             break
-        w = int(soup.tails[met])
         try:
-            fan = fan_of(soup, w, "source")
+            fan = fan_of(soup, int(soup.tails[met]), "source")
         except InvalidInputError:  # straight on has no meaning there
             break
         if not fan.closed:
             break
-        _, _, axis = _plane(soup, np.array([met]))
-        (ax, ay) = axis[0]
-        back = float(np.arctan2(-ry * ax + rx * ay, -rx * ax - ry * ay))
         i = int(np.flatnonzero(fan.sides == met)[0])
-        came = fan.begins[i] + (back if fan.forward[i] > 0 else fan.angles[i] - back)
-        angle = (came + fan.total / 2) % fan.total
+        angle = (fan.begins[i] + fan.turned(i, back) + fan.total / 2) % fan.total
     faces, ends = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return faces, ends, length if length > _ROUNDING * whole else 0.0
-
-
-def _buffers(room: int) -> tuple[Ints, Floats]:
-    return np.empty(room, np.int64), np.empty((room, 2, 3))
+    return faces, ends, missing if missing > _ROUNDING * length else 0.0

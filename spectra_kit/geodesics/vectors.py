@@ -10,18 +10,19 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.clock import Clock
-from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, check_positive, quantity, real_array
 from spectra_kit._core.warn import warn
 from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.eigen import eigensolve
 from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.heat_step import HeatStep
-from spectra_kit.geodesics.sources import FacePoint, check_sources, named_sources
+from spectra_kit.geodesics.sources import FacePoint, spread
 from spectra_kit.geometry import Geometry
+from spectra_kit.geometry.vectors import sums, unit_vectors
 from spectra_kit.operators import intrinsic_delaunay, tangent_frames
-from spectra_kit.operators.connection import laplacian_along, unit_vectors
+from spectra_kit.operators.checks import of_shape
+from spectra_kit.operators.connection import laplacian_along
 
 _LIFT = 1000  # powers of two by which heat is larger than one at its source, and may fall to
 _ROOM = 64  # of these are left to weights of edges
@@ -36,13 +37,17 @@ Places = int | FacePoint | Sequence[int | FacePoint] | NDArray[np.integer | np.b
 class VectorHeat:
     """Vectors and values carried from any places to all points; factors are kept for the next.
 
+    Sharp, Soliman and Crane, *The Vector Heat Method*, ACM TOG 38(3), 2019, with the
+    `connection_laplacian`: after a short time, heat that carries vectors is dominated by what came
+    along the shortest path, whose direction it has. Lengths are carried as values are.
+
     Parameters
     ----------
     geometry : TriangleMesh or PointCloud
         Of n points; anything that `intrinsic_delaunay` takes.
     time_coefficient : float, default 1.0
-        The time of the heat step is this times the square of the typical edge of each component.
-        Larger ones blend what comes from several places more widely.
+        The time of the heat step over the square of the typical edge of each component. A larger
+        one blends what comes from several places more widely.
 
     Attributes
     ----------
@@ -58,40 +63,26 @@ class VectorHeat:
     DoubtfulDistanceWarning
         If points are so many edges away that no heat arrives there: their vectors are NaN.
 
-    Notes
-    -----
-    Sharp, Soliman and Crane, *The Vector Heat Method*, ACM TOG 38(3), 2019, with the
-    `connection_laplacian`. After a short time, heat that carries vectors is dominated by what came
-    along the shortest path: its direction is that of the vector carried there. Lengths are
-    carried as values are, and none shortens on its way. Places where shortest paths meet from two
-    sides blend what comes along them.
-
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit.geodesics import VectorHeat
-    >>> from spectra_kit.geometry import rectangle
-    >>> heat = VectorHeat(rectangle(n=200).geometry)
+    >>> import spectra_kit as sk
+    >>> heat = sk.geodesics.VectorHeat(sk.geometry.rectangle(n=200).geometry)
     >>> bool(np.allclose(heat.transport(0, [[3, 4, 0]]), [3, 4, 0]))
     True
     """
 
     def __init__(self, geometry: Geometry, *, time_coefficient: float = 1.0) -> None:
-        clock = Clock()
-        check_positive("time_coefficient", time_coefficient)
-        self.geometry, self._time = geometry, time_coefficient
+        self.geometry, self._time = geometry, check_positive("time_coefficient", time_coefficient)
         self.triangulation = intrinsic_delaunay(geometry)
         self.frames = tangent_frames(geometry)
         laplacian = self.triangulation.laplacian
         # Each component in a unit of its own, as in `System`.
         self._unit = self.triangulation.spacings[laplacian.component_labels]
-        connection = laplacian_along(self.triangulation, self.frames, geometry, clock)
+        connection = laplacian_along(geometry, self.triangulation, self.frames)
         self._mass = connection.mass / np.repeat(self._unit, 2) ** 2
-        self._factor = SparseLDL(
-            sparse.csr_array(
-                time_coefficient * connection.stiffness + sparse.diags_array(self._mass)
-            )
-        )
+        step = time_coefficient * connection.stiffness + sparse.diags_array(self._mass)
+        self._factor = SparseLDL(sparse.csr_array(step))
 
     def __repr__(self) -> str:
         return f"VectorHeat(n={self.triangulation.n}, time_coefficient={self._time:g})"
@@ -103,10 +94,8 @@ class VectorHeat:
         planes there: what stands on them is left out. Each point has that of the nearest place, but
         for a blend along the lines between two of them.
         """
-        owners, points, shares = self._spread(sources)
-        given, count = real_array("vectors", vectors), int(owners[-1]) + 1
-        if given.shape != (count, 3):
-            raise InvalidInputError("vectors", f"have shape ({count}, 3)", given.shape)
+        owners, points, shares, _ = spread(sources, self.geometry)
+        given = of_shape("vectors", vectors, (int(owners[-1]) + 1, 3))
         along = np.einsum("sra,sa->sr", self.frames.axes[points, :2], given[owners])
         lengths = np.bincount(owners, shares * np.hypot(*along.T))
         if (bad := lengths <= _TANGENT * np.abs(given).max(axis=1)).any():
@@ -119,10 +108,9 @@ class VectorHeat:
         heat = np.zeros((self.triangulation.n, 2))
         np.add.at(heat, points, along * (shares / np.hypot(*along.T))[:, None])
         carried = self._directions(heat.reshape(-1, 1))[0]
-        alike = np.ptp(lengths) == 0  # as a rule: one source
-        return np.asarray(
-            carried * (lengths[0] if alike else self.extend(sources, lengths)[:, None])
-        )
+        if np.ptp(lengths) == 0:  # as a rule: one source
+            return np.asarray(carried * lengths[0])
+        return np.asarray(carried * self.extend(sources, lengths)[:, None])
 
     def extend(self, sources: Places, values: ArrayLike) -> Floats:
         """Carry values, given at some places, to all points: that of the nearest, NaN without one.
@@ -130,7 +118,7 @@ class VectorHeat:
         `values` (s,) or (s, c) become (n,) or (n, c). Between places of about the same distance
         they blend, and none leaves the range of those given.
         """
-        owners, points, shares = self._spread(sources)
+        owners, points, shares, _ = spread(sources, self.geometry)
         given, count, n = real_array("values", values), int(owners[-1]) + 1, self.triangulation.n
         if given.ndim not in (1, 2) or len(given) != count:
             raise InvalidInputError("values", f"have shape ({count},) or ({count}, c)", given.shape)
@@ -159,16 +147,13 @@ class VectorHeat:
         (heat,) = self._heat_step.solve([np.where(np.arange(n) == vertex, 1.0, 0.0)])
         exponents = heat.exponents - heat.exponents[vertex] + _LIFT - _ROOM
         lifted = np.ldexp(heat.values / heat.values[vertex], exponents)
-        edges, points = (
-            sparse.coo_array(laplacian.stiffness),
-            laplacian.points / self._unit[:, None],
-        )
+        edges = sparse.coo_array(laplacian.stiffness)
+        points = laplacian.points / self._unit[:, None]
         i, j, chords = edges.row, edges.col, points[edges.col] - points[edges.row]
         steps = np.einsum("era,ea->er", axes[i, :2], chords)  # along the plane, as long as in space
         steps = unit_vectors(steps) * np.linalg.norm(chords, axis=1, keepdims=True)
         flow = (self._time * edges.data * lifted[j])[:, None] * steps
-        put: Floats = np.column_stack([np.bincount(i, part, n) for part in flow.T])
-        away = self._factor.solve(put.ravel()).reshape(n, 2)
+        away = self._factor.solve(sums(i, flow, n).ravel()).reshape(n, 2)
         away /= np.where(lifted > _FLOOR, lifted, np.nan)[:, None]
         start = np.zeros((n, 2, 2))
         start[vertex] = np.eye(2)
@@ -178,23 +163,24 @@ class VectorHeat:
 
     def _directions(self, heat: Floats) -> Floats:
         """Return the directions of vector heat, put in as (2n, c); (c, n, 3), NaN without any."""
-        labels = self.triangulation.laplacian.component_labels
-        sides = heat / self._mass[:, None]
-        sides = self._mass[:, None] * (sides / np.abs(sides).max(axis=0))
-        solved = self._factor.solve(np.ldexp(sides, _LIFT))
-        pairs = np.moveaxis(solved.reshape(len(labels), 2, -1), 2, 0)
+        n, peak = self.triangulation.n, np.abs(heat / self._mass[:, None]).max(axis=0)
+        solved = self._factor.solve(heat / peak * 2.0**_LIFT)
+        pairs = np.moveaxis(solved.reshape(n, 2, -1), 2, 0)
         sizes = np.hypot(pairs[:, :, 0], pairs[:, :, 1])
-        warm = sizes > _FLOOR
-        put = np.abs(heat).reshape(len(labels), -1).max(axis=1) > 0
-        if (cold := int((~warm & np.isin(labels, labels[put])).any(axis=0).sum())) > 0:
-            warn(
-                f"no heat arrives at {quantity(cold, 'point')}, too many edges away: no vector is"
-                " carried there",
-                DoubtfulDistanceWarning,
-                advice="raise `time_coefficient`",
-            )
-        pairs = np.where(warm[:, :, None], pairs, np.nan) / np.where(warm, sizes, 1.0)[:, :, None]
-        return np.asarray(np.einsum("cnr,nra->cna", pairs, self.frames.axes[:, :2]))
+        if (cold := ~(sizes > _FLOOR)).any():
+            labels, put = self.triangulation.laplacian.component_labels, heat.reshape(n, -1)
+            asked = np.isin(labels, labels[put.any(axis=1)])
+            if lost := int((cold & asked).any(axis=0).sum()):
+                warn(
+                    f"no heat arrives at {quantity(lost, 'point')}, too many edges away: no vector"
+                    " is carried there",
+                    DoubtfulDistanceWarning,
+                    advice="raise `time_coefficient`",
+                )
+            sizes[cold] = np.nan
+        return np.asarray(
+            np.einsum("cnr,nra->cna", pairs / sizes[:, :, None], self.frames.axes[:, :2])
+        )
 
     @cached_property
     def _heat_step(self) -> HeatStep:
@@ -202,16 +188,6 @@ class VectorHeat:
         laplacian, unit = self.triangulation.laplacian, self._unit
         points, mass = laplacian.points / unit[:, None], laplacian.mass / unit**2
         return HeatStep(laplacian.stiffness, mass, points, duration=self._time, direct=True)
-
-    def _spread(self, sources: Places) -> tuple[Ints, Ints, Floats]:
-        """Return which place heats which vertices, and its shares of one."""
-        places = named_sources(sources, self.geometry)
-        if not places:
-            raise InvalidInputError("sources", "name at least one source", "none")
-        found = [check_sources(place, self.geometry) for place in places]
-        owners = np.repeat(np.arange(len(found)), [len(one.vertices) for one in found])
-        points = np.concatenate([one.vertices for one in found])
-        return owners, points, np.concatenate([one.heat for one in found])
 
 
 @checked
@@ -222,10 +198,8 @@ def transport_vectors(geometry: Geometry, sources: Places, vectors: ArrayLike) -
     ----------
     geometry : TriangleMesh or PointCloud
         Of n points.
-    sources : int, FacePoint, sequence or array of these
-        Where they are given.
-    vectors : array_like of shape (s, 3)
-        One for each of s sources, along the surface.
+    sources, vectors
+        As of `VectorHeat.transport`: s places, and a vector (s, 3) at each, along the surface.
 
     Returns
     -------
@@ -234,18 +208,13 @@ def transport_vectors(geometry: Geometry, sources: Places, vectors: ArrayLike) -
 
     Examples
     --------
-    North along a meridian of the sphere to the pole, and down along another, where what led
-    northwards leads west:
+    North along a meridian of the sphere to the pole:
 
     >>> import numpy as np
     >>> import spectra_kit as sk
-    >>> from spectra_kit.geodesics import transport_vectors
     >>> ball = sk.geometry.sphere(subdivisions=4).geometry
-    >>> x, y, z = np.eye(3)
-    >>> a, b, pole = (int(np.argmax(ball.points @ axis)) for axis in (x, y, z))
-    >>> at_pole = transport_vectors(ball, a, [z])[pole]
-    >>> back = transport_vectors(ball, pole, [at_pole])[b]
-    >>> back.round(1) + 0.0
+    >>> east, pole = (int(np.argmax(ball.points[:, axis])) for axis in (0, 2))
+    >>> sk.geodesics.transport_vectors(ball, east, [[0, 0, 1]])[pole].round(1) + 0.0
     array([-1.,  0.,  0.])
     """
     return VectorHeat(geometry).transport(sources, vectors)
@@ -254,6 +223,9 @@ def transport_vectors(geometry: Geometry, sources: Places, vectors: ArrayLike) -
 @checked
 def smoothest_field(geometry: Geometry) -> Floats:
     """Find the tangent vector field that turns and changes least.
+
+    Knöppel, Crane, Pinkall and Schröder, *Globally Optimal Direction Fields*, ACM TOG 32(4), 2013,
+    for fields of one direction.
 
     Parameters
     ----------
@@ -266,23 +238,16 @@ def smoothest_field(geometry: Geometry) -> Floats:
         Tangent vectors of mean square 1 on each component: its lowest mode, by
         `connection_laplacian`. Which one is arbitrary where several are as smooth.
 
-    Notes
-    -----
-    Knöppel, Crane, Pinkall and Schröder, *Globally Optimal Direction Fields*, ACM TOG 32(4), 2013,
-    for fields of one direction.
-
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit.geodesics import smoothest_field
-    >>> from spectra_kit.geometry import rectangle
-    >>> lengths = np.linalg.norm(smoothest_field(rectangle(n=200).geometry), axis=1)
-    >>> bool(np.allclose(lengths, 1))
+    >>> import spectra_kit as sk
+    >>> field = sk.geodesics.smoothest_field(sk.geometry.rectangle(n=200).geometry)
+    >>> bool(np.allclose(np.linalg.norm(field, axis=1), 1))
     True
     """
-    clock, triangulation = Clock(), intrinsic_delaunay(geometry)
-    frames = tangent_frames(geometry)
-    laplacian = laplacian_along(triangulation, frames, geometry, clock)
+    triangulation, frames = intrinsic_delaunay(geometry), tangent_frames(geometry)
+    laplacian = laplacian_along(geometry, triangulation, frames)
     labels = triangulation.laplacian.component_labels
     coordinates = np.zeros(2 * geometry.n)
     for part in range(triangulation.laplacian.n_components):

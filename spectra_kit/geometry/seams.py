@@ -19,6 +19,7 @@ from spectra_kit._core.validate import quantity
 from spectra_kit._core.warn import warn
 from spectra_kit.errors import SplitSurfaceWarning
 from spectra_kit.geometry.shapes import TriangleMesh, box_unit, distinct_rows, side_keys
+from spectra_kit.geometry.vectors import sums, unit_vectors
 
 #: What is told of one such vertex, and of several.
 HANGING = (
@@ -108,7 +109,7 @@ def seams(mesh: TriangleMesh) -> Seams | None:
     face, across = _sides(mesh, boundary)
     rounded = (points[ends] != points[first][place[ends]]).any(axis=(1, 2))
     rounded = np.bincount(line, rounded) > 0
-    total = np.column_stack([np.bincount(line, column) for column in across.T])
+    total = sums(line, across, line.max() + 1)
     two_sheets = np.linalg.norm(total, axis=1) > _ALIKE * np.bincount(line)
     on_others &= ~(rounded & two_sheets)[line]
     opened, inside = _hanging(lines[rest], face[rest], across[rest], *inner)
@@ -149,9 +150,9 @@ def _sides(mesh: TriangleMesh, boundary: Ints) -> tuple[Ints, Floats]:
     apex, face = np.empty((2, len(keys)), dtype=np.int64)
     apex[at[row, corner]], face[at[row, corner]] = mesh.faces[row, corner - 1], row
     start, end = mesh.points[boundary[:, 0]], mesh.points[boundary[:, 1]]
-    along = _unit(end - start)
+    along = unit_vectors(end - start)
     across = mesh.points[apex] - start
-    return face, _unit(across - np.einsum("er,er->e", across, along)[:, None] * along)
+    return face, unit_vectors(across - np.einsum("er,er->e", across, along)[:, None] * along)
 
 
 def _hanging(lines: Ints, face: Ints, across: Floats, e: Ints, p: Ints) -> tuple[Ints, Ints]:
@@ -161,11 +162,6 @@ def _hanging(lines: Ints, face: Ints, across: Floats, e: Ints, p: Ints) -> tuple
     two_sheets = np.einsum("er,er->e", across[one], across[f]) > _ALIKE
     found = np.unique(pair[(face[one] != face[f]) & ~two_sheets])
     return lines[e[found]], p[found]
-
-
-def _unit(vectors: Floats) -> Floats:
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0))
 
 
 def warn_of_seams(mesh: TriangleMesh) -> None:

@@ -19,24 +19,6 @@ _SINGULAR = 1e-7  # of a column's square, what the columns before it leave of it
 
 
 @compiled()
-def faces_around(faces: Ints32, n: int) -> tuple[Ints32, Ints32]:
-    """Return the faces at each point: those of point v stand from ``starts[v]`` on, ascending."""
-    starts = np.zeros(n + 1, np.int32)
-    for f in range(len(faces)):
-        for c in range(3):
-            starts[faces[f, c] + 1] += 1
-    for v in range(n):
-        starts[v + 1] += starts[v]
-    place, around = starts.copy(), np.empty(3 * len(faces), np.int32)
-    for f in range(len(faces)):
-        for c in range(3):
-            v = faces[f, c]
-            around[place[v]] = f
-            place[v] += 1
-    return starts, around
-
-
-@compiled()
 def surroundings(
     points: Floats,
     faces: Ints32,
@@ -54,6 +36,7 @@ def surroundings(
 ) -> None:
     """Write what surrounds the points from `first` to `last`.
 
+    The faces at point v stand in `around` from ``starts[v]`` on.
     To `rings` their neighbours, `sizes` of them from ``2 * starts[v]`` on, and to `spacings` the
     geometric mean of their distances. To `vectors` and `areas` the sums of the area vectors of the
     faces, twice as long as these are large, and of their lengths. And whether the points are
@@ -131,7 +114,8 @@ def fit_quadrics(
     n = len(points)
     seen, queue, mark = np.zeros(n, np.int32), np.empty(n, np.int32), 0
     u, v = np.empty(3), np.empty(3)
-    A, b = np.empty((6, 6)), np.empty(6)
+    # Least squares in the basis p of quadrics: the lower triangle of A x = b.
+    A, b, p = np.empty((6, 6)), np.empty(6), np.ones(6)
     for i in range(first, last):
         if failures[i]:
             continue
@@ -142,10 +126,8 @@ def fit_quadrics(
             inverse = 1 / scale
             mark += 1
             seen[i], queue[0], size, head = mark, i, 1, 0
-            # Moments of x and y, and with the height z, of all that the walk has come to.
-            m00, m10, m01, m20, m11, m02, m30, m21 = 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            m12 = m03 = m40 = m31 = m22 = m13 = m04 = 0.0
-            h00 = h10 = h01 = h20 = h11 = h02 = 0.0
+            A[:], b[:] = 0.0, 0.0
+            A[0, 0] = 1.0  # of the point itself
             while head < size:
                 w = queue[head]
                 head += 1
@@ -173,24 +155,12 @@ def fit_quadrics(
                     y = dx * v[0] + dy * v[1] + dz * v[2]
                     z = dx * normal[0] + dy * normal[1] + dz * normal[2]
                     weight = (1 - square) ** 2  # fades: a fit changes with the scale without jumps
-                    wx, wy = weight * x, weight * y
-                    xx, xy, yy = wx * x, wx * y, wy * y
-                    m00, m10, m01 = m00 + weight, m10 + wx, m01 + wy
-                    m20, m11, m02 = m20 + xx, m11 + xy, m02 + yy
-                    m30, m21, m12, m03 = m30 + xx * x, m21 + xx * y, m12 + yy * x, m03 + yy * y
-                    m40, m31, m22 = m40 + xx * x * x, m31 + xx * x * y, m22 + xx * y * y
-                    m13, m04 = m13 + yy * y * x, m04 + yy * y * y
-                    h00, h10, h01 = h00 + weight * z, h10 + wx * z, h01 + wy * z
-                    h20, h11, h02 = h20 + xx * z, h11 + xy * z, h02 + yy * z
-            # Of the basis 1, x, y, x^2 / 2, x y, y^2 / 2: the lower triangle.
-            A[0, 0] = m00
-            A[1, 0], A[1, 1] = m10, m20
-            A[2, 0], A[2, 1], A[2, 2] = m01, m11, m02
-            A[3, 0], A[3, 1], A[3, 2], A[3, 3] = m20 / 2, m30 / 2, m21 / 2, m40 / 4
-            A[4, 0], A[4, 1], A[4, 2], A[4, 3], A[4, 4] = m11, m21, m12, m31 / 2, m22
-            A[5, 0], A[5, 1], A[5, 2], A[5, 3] = m02 / 2, m12 / 2, m03 / 2, m22 / 4
-            A[5, 4], A[5, 5] = m13 / 2, m04 / 4
-            b[0], b[1], b[2], b[3], b[4], b[5] = h00, h10, h01, h20 / 2, h11, h02 / 2
+                    p[1], p[2], p[3], p[4], p[5] = x, y, x * x / 2, x * y, y * y / 2
+                    for j in range(6):
+                        share = weight * p[j]
+                        b[j] += share * z
+                        for k in range(j + 1):
+                            A[j, k] += share * p[k]
             failures[i] = 0 if size > _NEIGHBOURS and _solve(A, b) else FEW
             if failures[i] == 0:
                 scales[i] = scale
@@ -206,17 +176,12 @@ def _cross(a: Floats, b: Floats, out: Floats) -> None:
 
 @register_jitable
 def _frame(normal: Floats, u: Floats, v: Floats) -> None:
-    """Write two axes that are across a unit vector, right-handed."""
-    least = 0
-    for r in (1, 2):
-        if abs(normal[r]) < abs(normal[least]):
-            least = r
-    for r in range(3):
-        u[r] = (1.0 if r == least else 0.0) - normal[least] * normal[r]
-    length = math.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
-    for r in range(3):
-        u[r] /= length
-    _cross(normal, u, v)
+    """Write two axes that are across a unit vector, right-handed: those of `frames_of`."""
+    x, y, z = normal
+    side = math.copysign(1.0, z)
+    a = -1 / (side + z)
+    u[0], u[1], u[2] = 1 + side * x * x * a, side * x * y * a, -side * x
+    v[0], v[1], v[2] = x * y * a, side + y * y * a, -y
 
 
 @register_jitable

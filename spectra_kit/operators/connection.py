@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,12 +15,12 @@ from spectra_kit._core.types import Bools, Floats, Ints
 from spectra_kit._core.validate import real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.geometry.vectors import frames_of, sums, unit_vectors
 from spectra_kit.geometry.winding import sides_of, turn, wound_against
-from spectra_kit.operators.checks import check_cloud_usable, check_faces_usable, unit_of
+from spectra_kit.operators.checks import of_shape, unit_of
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.operators.laplacian import Laplacian
-from spectra_kit.operators.local_delaunay import local_triangles
-from spectra_kit.operators.tangent import check_area_at_all
+from spectra_kit.operators.tangent import check_area_at_all, main_normals, stars
 
 _FLAT = 1e-8  # sine of a corner below which its triangle has no normal
 _CANCEL = 1e-6  # share of a sum of normals that is left where sheets lie back to back
@@ -67,9 +67,7 @@ class TangentFrames(Rebuilt):
 
     def coordinates(self, vectors: ArrayLike) -> Floats:
         """Return the coordinates (2n,) of vectors in space (n, 3), normal parts left out."""
-        given, n = real_array("vectors", vectors), len(self.axes)
-        if given.shape != (n, 3):
-            raise InvalidInputError("vectors", f"have shape ({n}, 3)", given.shape)
+        given = of_shape("vectors", vectors, (len(self.axes), 3))
         return np.asarray(np.einsum("na,nra->nr", given, self.axes[:, :2]).ravel())
 
 
@@ -87,44 +85,35 @@ def tangent_frames(geometry: Geometry, *, n_neighbors: int = 30) -> TangentFrame
     Returns
     -------
     TangentFrames
-        Their axes depend on the normals alone, so that those of a flat sheet are parallel.
-
-    Notes
-    -----
-    The normal is the mean of those of the triangles by their angles at the point, windings made to
-    agree; on edges where they cannot, or where three faces meet, the main axis of their second
-    moments. Of a cloud, the triangles are those of the star of the point, and sides say nothing.
+        Normals are the means of those of the triangles by their angles at the point, windings made
+        to agree; where they cannot, or three faces meet, the main axes of second moments. Of a
+        cloud, sides say nothing. Axes depend on the normals alone: on a flat sheet they are
+        parallel.
 
     Examples
     --------
-    >>> from spectra_kit.geometry import sphere
-    >>> from spectra_kit.operators import tangent_frames
-    >>> ball = sphere(subdivisions=3).geometry
-    >>> normals = tangent_frames(ball).axes[:, 2]
+    >>> import spectra_kit as sk
+    >>> ball = sk.geometry.sphere(subdivisions=3).geometry
+    >>> normals = sk.operators.tangent_frames(ball).axes[:, 2]
     >>> bool(((normals * ball.points).sum(axis=1) > 0.999).all())
     True
     """
     points, n = geometry.points / unit_of(geometry), geometry.n
-    doubtful, corners = np.zeros(n, dtype=bool), [0, 1, 2]
+    turned, doubtful = None, np.zeros(n, dtype=bool)
     if isinstance(geometry, TriangleMesh):
-        check_faces_usable(geometry)
-        faces, doubtful, _ = _agreed(geometry)
-    else:
-        n_neighbors = check_cloud_usable(geometry, n_neighbors)
-        faces = local_triangles(points, n_neighbors)[0].astype(np.int64)
-        corners = [0]  # that of the point whose star has the triangle
-    owners = np.concatenate([faces[:, c] for c in corners])
-    weighted = np.concatenate([_corner_normals(points, np.roll(faces, -c, 1)) for c in corners])
+        turned, doubtful, _ = _agreed(geometry)
+    faces = stars(geometry, points, n_neighbors, turned)
+    owners, weighted = faces[:, 0], _corner_normals(points, faces)
     angles = np.linalg.norm(weighted, axis=1)
     total = np.bincount(owners, angles, minlength=n)
     check_area_at_all(total)
-    normals: Floats = np.column_stack(
-        [np.bincount(owners, part, minlength=n) for part in weighted.T]
-    )
+    normals = sums(owners, weighted, n)
     doubtful |= np.linalg.norm(normals, axis=1) < _CANCEL * total
     if doubtful.any():
-        normals[doubtful] = _main_axes(owners, weighted, angles, doubtful)
-    return TangentFrames(_turned_to(unit_vectors(normals)))
+        here = doubtful[owners] & (angles > 0)
+        rooted, rank = weighted[here] / np.sqrt(angles[here, None]), np.cumsum(doubtful) - 1
+        normals[doubtful] = main_normals(rank[owners[here]], rooted, doubtful.sum())
+    return TangentFrames(frames_of(unit_vectors(normals)))
 
 
 @checked
@@ -143,18 +132,16 @@ def connection_laplacian(geometry: Geometry, *, n_neighbors: int = 30) -> Laplac
     Laplacian
         On 2n unknowns, the coordinates in `tangent_frames`: both of the first point, then of the
         next. Each point is there twice, with its mass. Where a surface has two sides, modes come in
-        pairs, turned by a right angle. All exact solvers and certificates serve.
+        pairs, turned by a right angle.
 
     Notes
     -----
     ``sum_ij w_ij |v_i - R_ij v_j|^2 / 2`` with the weights of the intrinsic Delaunay Laplacian,
-    which are not negative, so that the energy is not either. R_ij is the smallest rotation of space
-    that takes one tangent plane to the other (Singer and Wu, *Vector Diffusion Maps and the
-    Connection Laplacian*, Communications on Pure and Applied Mathematics 65, 2012), sides of
-    normals kept where windings agree: at a fold as sharp as may be, vectors turn with the surface.
-    Where sides disagree, as on a Möbius strip or between points of a cloud, the block is a
-    reflection, so that neither an orientation nor a manifold is asked for. A flipped edge needs no
-    more than the planes at its ends.
+    none negative. R_ij is the smallest rotation of space that takes one tangent plane to the other
+    (Singer and Wu, *Vector Diffusion Maps and the Connection Laplacian*, Communications on Pure and
+    Applied Mathematics 65, 2012), sides of normals kept where windings agree, so that vectors turn
+    with the surface at any fold; where sides disagree, as on a Möbius strip or between points of a
+    cloud, it is a reflection: neither an orientation nor a manifold is asked for.
 
     Examples
     --------
@@ -169,38 +156,29 @@ def connection_laplacian(geometry: Geometry, *, n_neighbors: int = 30) -> Laplac
     clock = Clock()
     frames = tangent_frames(geometry, n_neighbors=n_neighbors)
     triangulation = intrinsic_delaunay(geometry, n_neighbors=n_neighbors)
-    return laplacian_along(triangulation, frames, geometry, clock)
+    return replace(laplacian_along(geometry, triangulation, frames), seconds=clock.total)
 
 
 def laplacian_along(
-    triangulation: IntrinsicTriangulation, frames: TangentFrames, geometry: Geometry, clock: Clock
+    geometry: Geometry, triangulation: IntrinsicTriangulation, frames: TangentFrames
 ) -> Laplacian:
-    """Return the connection Laplacian on a triangulation, whose making began with the clock."""
+    """Return the connection Laplacian on a triangulation of a geometry."""
     plain = triangulation.laplacian
-    upper = sparse.coo_array(sparse.triu(plain.stiffness, 1))
-    i, j = upper.row.astype(np.int64), upper.col.astype(np.int64)
+    upper = sparse.csr_array(sparse.triu(plain.stiffness, 1))
+    i, j = np.repeat(np.arange(plain.n), np.diff(upper.indptr)), upper.indices
     seam: float | Floats = 0.0
     if isinstance(geometry, TriangleMesh):  # where sides are known, vectors turn at any fold
         _, doubtful, clashes = _agreed(geometry)
         seam = np.where(doubtful[i] | doubtful[j], 0.0, _SEAM if clashes else -np.inf)
     blocks = upper.data[:, None, None] * _carried(frames.axes, i, j, seam)
-    rows = np.broadcast_to((2 * i[:, None] + [0, 1])[:, :, None], blocks.shape)
-    columns = np.broadcast_to((2 * j[:, None] + [0, 1])[:, None, :], blocks.shape)
     size = (2 * plain.n, 2 * plain.n)
-    half = sparse.csr_array((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=size)
+    half = sparse.csr_array(sparse.bsr_array((blocks, upper.indices, upper.indptr), shape=size))
     return Laplacian(
         half + half.T + sparse.diags_array(np.repeat(plain.stiffness.diagonal(), 2)),
         np.repeat(plain.mass, 2),
         np.repeat(plain.points, 2, axis=0),
         operator=plain.operator.replace("delaunay_laplacian", "connection_laplacian"),
-        seconds=clock.total,
     )
-
-
-def unit_vectors(vectors: Floats) -> Floats:
-    """Return vectors (…, d) of length 1; zero where they are."""
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0))
 
 
 def _agreed(mesh: TriangleMesh) -> tuple[Ints, Bools, bool]:
@@ -243,22 +221,3 @@ def _corner_normals(points: Floats, faces: Ints) -> Floats:
     angles = np.arctan2(sines, np.einsum("fr,fr->f", one, two))
     angles = np.divide(angles, sines, out=np.zeros_like(sines), where=sines > _FLAT)
     return np.asarray(across * angles[:, None])
-
-
-def _main_axes(owners: Ints, weighted: Floats, angles: Floats, some: Bools) -> Floats:
-    """Return the main axes of the second moments of normals at `some` points."""
-    here = some[owners] & (angles > 0)
-    vectors, moments = weighted[here], np.zeros((len(some), 3, 3))
-    outer = vectors[:, :, None] * vectors[:, None, :] / angles[here, None, None]
-    np.add.at(moments, owners[here], outer)
-    return np.asarray(np.linalg.eigh(moments[some])[1][:, :, 2])
-
-
-def _turned_to(normals: Floats) -> Floats:
-    """Return a frame for each normal (n, 3), by the formula of Duff et al., JCGT 6, 2017."""
-    x, y, z = normals.T
-    side = np.copysign(1.0, z)
-    a = -1 / (side + z)
-    first = np.stack([1 + side * x * x * a, side * x * y * a, -side * x], axis=1)
-    second = np.stack([x * y * a, side + y * y * a, -y], axis=1)
-    return np.stack([first, second, normals], axis=1)

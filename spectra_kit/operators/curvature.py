@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt, frozen
@@ -70,10 +71,10 @@ class Curvature(Rebuilt):
         n = len(self.principal) if np.ndim(self.principal) else 0
         shapes = {"principal": (n, 2), "directions": (n, 2, 3), "normals": (n, 3), "scale": (n,)}
         for name, shape in shapes.items():
-            array = as_array(name, getattr(self, name))
+            array = as_array(name, getattr(self, name)).astype(np.float64)
             if array.shape != shape:
                 raise InvalidInputError(name, f"have shape {shape}", array.shape)
-            object.__setattr__(self, name, frozen(array.astype(np.float64)))
+            object.__setattr__(self, name, frozen(array))
 
     @property
     def n(self) -> int:
@@ -102,8 +103,8 @@ def curvature(geometry: Geometry, *, scale: float | None = None) -> Curvature:
         is out. Each vertex of a mesh has a face.
     scale : float, optional
         Distance within which neighbours count, in length; the nearer, the more. More smooths noise
-        and details. By default three times the spacing of the points around each, as their
-        triangles tell; more where that is too few for a fit.
+        and details. By default three times the spacing of the points around each; more where that
+        is too few for a fit.
 
     Returns
     -------
@@ -118,21 +119,19 @@ def curvature(geometry: Geometry, *, scale: float | None = None) -> Curvature:
     Warns
     -----
     DoubtfulCurvatureWarning
-        If it is not known at some points, and NaN there: at non-manifold vertices, where the
-        normals of the faces around cancel, or with fewer than five neighbours within the scale, or
-        all on a curve. If more than half of the points bend so much within the scale that it is off
-        by about a third or more. Or if triangles of a cloud do not agree on the side that is out.
+        If it is not known at some points, and NaN there: at non-manifold vertices, where normals of
+        faces cancel, or with fewer than five neighbours, or all on a curve. If most points bend so
+        much within the scale that it is off by a third or more. If triangles of a cloud do not
+        agree on the side that is out.
 
     Notes
     -----
     Cazals and Pouget, *Estimating Differential Quantities Using Polynomial Fitting of Osculating
-    Jets*, CAGD 2005, of degree two, by least squares with weights ``(1 - (d / scale)^2)^2``, which
-    need not pass through the point. On a mesh neighbours are found along its edges, on a cloud
-    along those of its local Delaunay triangles, and on the same side of the shape: never across a
-    gap. The error falls with the square of the scale where neighbours lie evenly around a point,
-    with its first power elsewhere, as at a boundary. At an edge or a corner, where curvature is
-    infinite, what is found grows as the scale falls. A third degree would make good for uneven
-    neighbours, and multiply noise at a boundary by five and more.
+    Jets*, CAGD 2005, of degree two, with weights ``(1 - (d / scale)^2)^2``. Neighbours are found
+    along edges, of a cloud those of its local Delaunay triangles, and on the same side of the
+    shape: never across a gap. The error falls with the square of the scale where neighbours lie
+    evenly around a point, with its first power elsewhere, as at a boundary; at an edge or a corner
+    what is found grows as the scale falls.
 
     Examples
     --------
@@ -148,8 +147,11 @@ def curvature(geometry: Geometry, *, scale: float | None = None) -> Curvature:
     from spectra_kit.operators._curvature_kernels import NO_PLANE, NO_SURFACE, fit_quadrics
 
     unit = unit_of(geometry)
-    if scale is not None:
-        _check_scale(scale, geometry)
+    longest = float(np.ptp(geometry.points, axis=0).max())
+    if scale is not None and check_positive("scale", scale) > longest:
+        raise InvalidInputError(
+            "scale", "be smaller than the shape", f"{scale:g} beside an extent of {longest:g}"
+        )
     n = geometry.n
     if isinstance(geometry, TriangleMesh):
         check_faces_usable(geometry)
@@ -228,10 +230,13 @@ def _around_cloud(cloud: PointCloud, points: Floats) -> _Around:
 
 
 def _around(points: Floats, faces: Ints) -> _Around:
-    from spectra_kit.operators._curvature_kernels import faces_around, surroundings
+    from spectra_kit.operators._curvature_kernels import surroundings
 
     n, corners = len(points), faces.astype(np.int32)
-    starts, around = faces_around(corners, n)
+    three = np.arange(0, corners.size + 1, 3, dtype=np.int32)
+    ones = np.ones(corners.size, bool)
+    of_points = sparse.csr_array((ones, corners.ravel(), three), (len(faces), n)).tocsc()
+    starts, around = of_points.indptr, of_points.indices
     rings, sizes = np.empty(2 * len(around), np.int32), np.empty(n, np.int32)
     vectors, areas, spacings = np.empty((n, 3)), np.empty(n), np.empty(n)
     whole, rim = np.empty(n, bool), np.empty(n, bool)
@@ -241,14 +246,6 @@ def _around(points: Floats, faces: Ints) -> _Around:
     plane = lengths > _CANCELLED * areas
     normals = np.divide(vectors, lengths[:, None], np.zeros((n, 3)), where=plane[:, None])
     return _Around(normals, starts, rings, sizes, whole, spacings, vectors, areas, rim)
-
-
-def _check_scale(scale: float, geometry: Geometry) -> None:
-    longest = float(np.ptp(geometry.points, axis=0).max())
-    if check_positive("scale", scale) > longest:
-        raise InvalidInputError(
-            "scale", "be smaller than the shape", f"{scale:g} beside an extent of {longest:g}"
-        )
 
 
 def _tell_of(failures: Bytes, scale: float | None) -> None:

@@ -14,8 +14,16 @@ from scipy import sparse
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_positive, real_array
+from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.operators._held import Loose, by_columns, columns, factorised, kept
+from spectra_kit.operators._held import (
+    DirichletProblem,
+    Kernel,
+    columns,
+    factorised,
+    latest,
+    solution,
+)
 from spectra_kit.operators.laplacian import Laplacian
 
 # Of these, an exponential is off by at most 1e-10: see `heat_weights`.
@@ -44,7 +52,7 @@ def poisson(
     Returns
     -------
     ndarray of shape (n,) or (n, c)
-        ``laplacian.solve(mass * f, ...)``.
+        ``laplacian.solve(M f, ...)``.
 
     Examples
     --------
@@ -56,7 +64,7 @@ def poisson(
     True
     """
     f = columns("density", density, laplacian.n)
-    return laplacian._solution("density", (laplacian.mass * f.T).T, fixed, values)
+    return solution(laplacian, "density", laplacian._weighed(f), fixed, values)
 
 
 @checked
@@ -75,19 +83,14 @@ def diffuse(laplacian: Laplacian, field: ArrayLike, time: float) -> Floats:
     Returns
     -------
     ndarray of shape (n,) or (n, c)
-        u after that time; each column is what it would be alone.
+        u after that time, of any operator within 1e-10 of the field in the norm by mass; each
+        column is what it would be alone. Means by mass stay what they were.
 
     Notes
     -----
-    Of any operator, at any time, the error is at most 1e-10 of the field, in the norm by mass, and
-    rounding. Means by mass stay what they were, and what oscillates infinitely fast is gone
-    (L-stable). Where no weight is negative, exact heat stays between the least and the greatest
-    value of the field, and so does this, but for that error.
-
-    A polynomial in ``B = (M + s L)^-1 M`` interpolates ``exp(-t M^-1 L)`` in the Chebyshev points
-    of [0, 1], where eigenvalues of B lie (Andersson, *Approximation of e^-x by rational functions
-    with concentrated negative poles*, Journal of Approximation Theory 32, 1981): one factor, kept
-    for the same time, and 24 solves.
+    A polynomial in ``B = (M + s L)^-1 M`` interpolates ``exp(-t M^-1 L)`` in Chebyshev points
+    (Andersson, *Approximation of e^-x by rational functions with concentrated negative poles*,
+    Journal of Approximation Theory 32, 1981): one factor, kept for the same time, and 24 solves.
 
     Examples
     --------
@@ -98,42 +101,44 @@ def diffuse(laplacian: Laplacian, field: ArrayLike, time: float) -> Floats:
     >>> bool(abs(laplacian.mass @ (later - field)) < 1e-12), bool(later.std() < field.std())
     (True, True)
     """
-    initial = columns("field", field, laplacian.n)
-    return by_columns(initial, kept(laplacian, HeatFlow, check_positive("time", time)).after)
+    flow = latest(laplacian, HeatFlow, check_positive("time", time))
+    return flow.after(columns("field", field, laplacian.n))
 
 
 class HeatFlow:
     """``exp(-t M^-1 L)`` for one time."""
 
     def __init__(self, laplacian: Laplacian, time: float) -> None:
-        self._loose, self._weights = Loose(laplacian), laplacian.mass / (_STEP * time)
+        self._kernel, self._laplacian, self._step = Kernel(laplacian), laplacian, _STEP * time
         self._held = np.zeros(laplacian.n, dtype=bool)
         self._held[laplacian.fixed] = True
+        self._factor: SparseLDL | None = None
         try:
-            self._factor = factorised(laplacian, -1 / (_STEP * time), self._held)
-        except InvalidInputError as error:
-            raise InvalidInputError(
-                "time",
-                "leave something of the heat but its mean on each component",
-                f"{time:g} ({error.got})",
-                advice="shorten it",
-            ) from error
+            self._factor = factorised(laplacian, -1 / self._step, self._held)
+        except InvalidInputError:  # beside L, the mass over the time is rounding
+            DirichletProblem(laplacian, laplacian.fixed)  # which refuses what is not definite
 
-    def after(self, fields: Floats) -> Floats:
-        """Return what becomes of each field (n,)."""
-        flat = np.stack([self._loose.means(f) for f in fields])
-        last = np.where(self._held, 0.0, fields - flat)
-        now = 2 * self._implicit(last) - last
-        weights = heat_weights(_SOLVES, _STEP)
-        found = weights[0] * last + weights[1] * now
-        for weight in weights[2:]:  # T_(k+1) = 2 y T_k - T_(k-1), y = 2 B - 1
-            last, now = now, 4 * self._implicit(now) - 2 * now - last
+    def after(self, field: Floats) -> Floats:
+        """Return what becomes of a field (n,) or (n, c)."""
+        flat = self._kernel.means(field)
+        if self._factor is None:
+            return flat
+        last = field - flat
+        last[self._held] = 0.0
+        now = 2 * self._decayed(last) - last
+        c = heat_weights(_SOLVES, _STEP)
+        found = c[0] * last + c[1] * now
+        for weight in c[2:]:  # T_(k+1) = 2 y T_k - T_(k-1), y = 2 B - 1
+            last, now = now, 4 * self._decayed(now) - 2 * now - last
             found += weight * now
-        return np.stack([f - self._loose.means(f) for f in found]) + flat
+        return np.asarray(found - self._kernel.means(found) + flat)
 
-    def _implicit(self, fields: Floats) -> Floats:
-        """Return B u, of an implicit Euler step."""
-        return np.ascontiguousarray(self._factor.solve((self._weights * fields).T).T)
+    def _decayed(self, field: Floats) -> Floats:
+        """Return ``(M + s L)^-1 M u``."""
+        assert self._factor is not None
+        weighted = self._laplacian._weighed(field) / self._step
+        weighted[self._held] = 0.0
+        return self._factor.solve(weighted)
 
 
 @cache

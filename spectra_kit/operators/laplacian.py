@@ -14,8 +14,15 @@ from scipy.sparse.csgraph import connected_components
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt, cached, frozen
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import check_count, check_indices, check_mass, check_points
+from spectra_kit._core.validate import (
+    as_indices,
+    check_count,
+    check_indices,
+    check_mass,
+    check_points,
+)
 from spectra_kit._sparse._checks import asymmetry
+from spectra_kit._sparse.products import weighed
 from spectra_kit.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -156,6 +163,11 @@ class Laplacian(Rebuilt):
         """M as solvers take it: its diagonal, or all of it."""
         return self.mass if self.consistent_mass is None else self.consistent_mass
 
+    def _weighed(self, f: Floats) -> Floats:
+        """``M f`` of one function, (n,), or several, (n, c)."""
+        columns = f if f.ndim == 2 else f[:, None]
+        return np.asarray(weighed(self._weights, columns)).reshape(f.shape)
+
     @cached
     def _row_sums(self) -> Floats:
         """``M 1``: what integrates functions that are one of M's."""
@@ -267,14 +279,12 @@ class Laplacian(Rebuilt):
     ) -> Floats:
         """Return the function u with ``L u = rhs``, and with given values at some points.
 
-        Without a right-hand side it is harmonic: colours, labels or displacements that are known
-        at a few points spread over all. Where no weight is negative, as of `robust_laplacian` and
-        `delaunay_laplacian`, it stays between the least and the greatest of them.
-
         Parameters
         ----------
         rhs : array_like of shape (n,) or (n, c), optional
-            Integrated: of a density f, ``mass * f``, as `poisson` has it.
+            Integrated: of a density f, ``mass * f``, as `poisson` has it. Without one u is
+            harmonic: what is known at a few points spreads over all, between the least and the
+            greatest of it where no weight is negative, as of `robust_laplacian`.
         fixed : array_like of int of shape (m,), or mask of shape (n,), optional
             Points at which u is given. At the operator's own, if they are none of these, u is zero.
         values : float, or array_like of shape (m,) or (m, c), optional
@@ -285,11 +295,7 @@ class Laplacian(Rebuilt):
         ndarray of shape (n,) or (n, c)
             On components without a fixed point or potential u has mean zero by mass, and `rhs` must
             sum to zero; without one, a point must be fixed. Each column is what it would be alone.
-
-        Notes
-        -----
-        The factor is kept until fixed points are others: the next right-hand side, or the next
-        values at these points, take a tenth of the time or less.
+            The factor is kept for as long as fixed points are the same.
 
         Examples
         --------
@@ -300,16 +306,9 @@ class Laplacian(Rebuilt):
         >>> bool(abs(u - x).max() < 1e-12)  # linear functions are harmonic
         True
         """
-        return self._solution("rhs", rhs, fixed, values)
-
-    def _solution(
-        self, name: str, rhs: ArrayLike | None, fixed: ArrayLike | None, values: ArrayLike | None
-    ) -> Floats:
-        """Return the same, of a right-hand side that users know by this name."""
         from spectra_kit.operators._held import solution
 
-        at = None if fixed is None else as_indices("fixed", fixed, self.n)
-        return solution(self, name, rhs, at, values)
+        return solution(self, "rhs", rhs, fixed, values)
 
     def restricted(self, indices: Ints) -> Laplacian:
         """Return the operator on some points alone, the others held at zero.
@@ -363,14 +362,6 @@ def _block(matrix: sparse.csr_array, indices: Ints) -> sparse.csr_array:
     starts = np.concatenate([[0], np.cumsum(inside)])[rows.indptr]
     shape = (len(indices), len(indices))
     return sparse.csr_array((rows.data[inside], place[inside], starts), shape=shape)
-
-
-def as_indices(name: str, values: ArrayLike, n: int) -> Ints:
-    """Return point indices, given as such or as a boolean mask of shape (n,)."""
-    array = np.asarray(values)
-    if array.dtype == bool and array.shape == (n,):
-        return np.flatnonzero(array)
-    return check_indices(name, array if array.size else array.astype(np.int64), n)
 
 
 def split_mass(name: str, mass: Any, n: int) -> tuple[ArrayLike, sparse.csr_array | None]:

@@ -21,6 +21,7 @@ from spectra_kit._core.warn import warn
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.geometry.normals import agree_on_signs, symmetric_votes, turn_outwards
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry.vectors import sums
 from spectra_kit.geometry.winding import (
     FLIP,
     Sides,
@@ -192,10 +193,7 @@ def _warn_of_winding(against: Bools, sides: Sides) -> None:
 def _signed_volumes(points: Floats, faces: Ints, piece: Ints) -> Floats:
     """Volume of each face's tetrahedron over the middle of its piece, shape (f,), in length^3."""
     corners = points[faces]
-    size = np.bincount(piece)
-    middle = np.column_stack(
-        [np.bincount(piece, corners[:, :, r].mean(axis=1)) / size for r in range(3)]
-    )
+    middle = sums(piece, corners.mean(axis=1), piece.max() + 1) / np.bincount(piece)[:, None]
     a, b, c = np.moveaxis(corners - middle[piece][:, None], 1, 0)
     return np.asarray(np.einsum("fr,fr->f", a, np.cross(b, c)) / 6)
 

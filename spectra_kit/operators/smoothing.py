@@ -6,19 +6,19 @@ from typing import Annotated, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Bools, Floats, Ints
-from spectra_kit._core.validate import check_count, check_positive
+from spectra_kit._core.validate import as_indices, check_count, check_positive
 from spectra_kit._core.warn import hearing
-from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
+from spectra_kit.geometry.vectors import sums, unit_vectors
 from spectra_kit.geometry.winding import sides_of
-from spectra_kit.operators.checks import unit_of, units_of
+from spectra_kit.operators._held import factorised
+from spectra_kit.operators.checks import units_of
 from spectra_kit.operators.intrinsic import intrinsic_delaunay
-from spectra_kit.operators.laplacian import Laplacian, as_indices
+from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.operators.oriented import oriented_triangles
 
 Kind = TypeVar("Kind", TriangleMesh, PointCloud)
@@ -51,17 +51,17 @@ def smooth(
         Delaunay triangles: ripples six edges long are halved, shorter ones fade, longer ones stay.
     steps : int, default 1
         Implicit steps that this takes; each makes the Laplacian of what the last one left. A ripple
-        that is a mode of eigenvalue lambda is divided by ``(1 + lambda time / steps)^steps``, which
-        tends to the ``exp(lambda time)`` of the flow.
+        of eigenvalue lambda is divided by ``(1 + lambda time / steps)^steps``.
     fixed : array_like of int, or of bool and shape (n,), default ()
         Points that stay where they are.
     boundary : {"held", "free"}, default "held"
         Whether points on the boundary stay, too. A free one shrinks. Of a cloud, those that
         `intrinsic_delaunay` finds, about every other; the ones between draw in a little.
     volume : {"kept", "free"}, default "kept"
-        Whether, after each step, the points of closed parts of a mesh move out along their normals,
-        all by the same way, until the part encloses the volume that it had. (Points on a closed
-        part that are `fixed` do not.) Clouds enclose none.
+        Whether, after each step, the points of closed parts of a mesh that are not `fixed` move out
+        along their normals, all by the same way, until the part encloses the volume that it had:
+        the flow of Huisken, *The Volume Preserving Mean Curvature Flow*, J. reine angew. Math.
+        1987.
 
     Returns
     -------
@@ -77,12 +77,6 @@ def smooth(
     --------
     spectra_kit.eigen.low_pass : The same by the lowest modes alone.
 
-    Notes
-    -----
-    With volumes kept it is the flow of Huisken, *The Volume Preserving Mean Curvature Flow*, J.
-    reine angew. Math. 1987, by the mean curvature less its mean. Scaling a part back, as Desbrun et
-    al. do, would lengthen a thin rod as much as it was thinned.
-
     Examples
     --------
     >>> import numpy as np
@@ -96,47 +90,38 @@ def smooth(
     0.03
     0.01
     """
-    unit = unit_of(geometry)
     check_count("steps", steps, low=1)
-    chosen = as_indices("fixed", fixed, geometry.n)
     triangulation = intrinsic_delaunay(geometry)
-    laplacian, rim = triangulation.laplacian, triangulation.boundary
+    laplacian = triangulation.laplacian
     if time is None:
         time = float(triangulation.lengths.mean()) ** 2
-    step = check_positive("time", time) / steps / unit**2
-    if isinstance(geometry, TriangleMesh):
-        rim = geometry.boundary_vertices
-    held = np.zeros(geometry.n, dtype=bool)
-    held[chosen] = True
+    step = check_positive("time", time) / steps
+    held, parts = np.zeros(geometry.n, dtype=bool), None
+    held[as_indices("fixed", fixed, geometry.n)] = True
     if boundary == "held":
-        held[rim] = True
-    parts = None
+        held[getattr(geometry, "boundary_vertices", triangulation.boundary)] = True
     if volume == "kept" and isinstance(geometry, TriangleMesh):
         parts = _closed_parts(geometry, held)
     for done in range(steps):
         if done:
             with hearing():  # what there is to tell of the surface was told at the first step
                 laplacian = intrinsic_delaunay(geometry).laplacian
-        points = _stepped(laplacian, held, step, unit)
+        points = _stepped(laplacian, held, step)
         if parts is not None:
             points = parts.restored(points)
         geometry = geometry.with_points(points)
     return geometry
 
 
-def _stepped(laplacian: Laplacian, held: Bools, step: float, unit: float) -> Floats:
-    """Solve ``(M + step L) x' = M x`` for the points that are not held; areas are in unit^2."""
-    points, free = np.array(laplacian.points), np.flatnonzero(~held)
-    if not len(free):
-        return points
-    system = sparse.diags_array(laplacian.mass / unit**2) + step * laplacian.stiffness
+def _stepped(laplacian: Laplacian, held: Bools, step: float) -> Floats:
+    """Solve ``(M + step L) x' = M x`` for the points that are not held."""
     try:
-        factor = SparseLDL(sparse.csr_array(system[free][:, free]))
+        factor = factorised(laplacian, -1 / step, held)
     except InvalidInputError as error:
         raise _too_long() from error
     # For the way that each point takes: none, to rounding, where the surface is flat.
-    points[free] += factor.solve(-step * (laplacian.stiffness @ points)[free])
-    return points
+    pull = -(laplacian.stiffness @ laplacian.points)
+    return np.asarray(laplacian.points + factor.solve(np.where(held[:, None], 0.0, pull)))
 
 
 def _too_long() -> InvalidInputError:
@@ -159,32 +144,27 @@ class _ClosedParts(NamedTuple):
     def measured(self, points: Floats) -> tuple[Floats, Floats]:
         """Return the volume of each part, and its gradient by the points (n, 3)."""
         part, n = self.part, len(points)
-        sizes = np.bincount(part)
-        middles = np.column_stack([np.bincount(part, x) / sizes for x in points.T])
+        middles = sums(part, points, part.max() + 1) / np.bincount(part)[:, None]
         x = (points - middles[part]) / self.units
         a, b, c = np.moveaxis(x[self.faces], 1, 0)
-        shares = np.repeat(np.cross(b - a, c - a) / 6, 3, axis=0).T
-        corners = self.faces.ravel()
-        slopes: Floats = np.column_stack([1.0 * np.bincount(corners, s, n) for s in shares])
-        volumes = np.bincount(part, np.einsum("nr,nr->n", x, slopes)) / 3
-        return volumes.astype(np.float64), slopes
+        shares = np.repeat(np.cross(b - a, c - a) / 6, 3, axis=0)
+        slopes = sums(self.faces.ravel(), shares, n)
+        return np.bincount(part, np.einsum("nr,nr->n", x, slopes)) / 3, slopes
 
     def restored(self, points: Floats) -> Floats:
         """Return points moved out along their normals, in each part as far as its volume asks."""
         volumes, slopes = self.measured(points)
-        lengths = np.linalg.norm(slopes, axis=1, keepdims=True)
-        normals = self.free * np.divide(slopes, lengths, np.zeros_like(slopes), where=lengths > 0)
-        way, kept = np.zeros(len(volumes)), self.volumes > 0
+        normals, way = self.free * unit_vectors(slopes), np.zeros(len(volumes))
         for _ in range(_NEWTON):
-            lost = np.where(kept, self.volumes - volumes, 0.0)
+            moved = points + way[self.part, None] * self.units * normals
+            volumes, slopes = self.measured(moved)
+            lost = np.where(self.volumes > 0, self.volumes - volumes, 0.0)
             if (np.abs(lost) <= _ROUNDING * self.volumes).all():
-                return np.asarray(points + way[self.part, None] * self.units * normals)
+                return np.asarray(moved)
             rate = np.bincount(self.part, np.einsum("nr,nr->n", normals, slopes))
             if not (rate[lost != 0] > 0).all():
                 break
             way += np.divide(lost, rate, np.zeros_like(way), where=lost != 0)
-            moved = points + way[self.part, None] * self.units * normals
-            volumes, slopes = self.measured(moved)
         raise _too_long()
 
 

@@ -13,6 +13,7 @@ from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.geometry.vectors import frames_of, sums
 from spectra_kit.operators.checks import check_cloud_usable, check_faces_usable, of_shape, unit_of
 from spectra_kit.operators.local_delaunay import local_triangles
 from spectra_kit.operators.oriented import OrientedTriangles, oriented_triangles
@@ -59,9 +60,9 @@ def tangent_gradient(
 
     Notes
     -----
-    The gradient at a point is the mean of those of the linear functions on its triangles, by their
-    areas, projected to the plane whose normal is the main axis of their normals' second moments:
-    signs of normals cancel. Linear functions on a plane get their exact gradients.
+    The gradient at a point is the mean of those on its triangles, by their areas, projected to the
+    plane whose normal is the main axis of the second moments of theirs: signs of normals cancel.
+    Linear functions on a plane get their exact gradients.
 
     Examples
     --------
@@ -94,7 +95,7 @@ def gradient(geometry: Geometry, values: ArrayLike, *, n_neighbors: int = 30) ->
     -------
     ndarray of shape (n, 3)
         Tangent to the surface, in the unit of `values` over length; the mean over the triangles of
-        each point. That of each triangle is `IntrinsicTriangulation.gradient`.
+        each point, of which `IntrinsicTriangulation.gradient` has each.
 
     Examples
     --------
@@ -125,9 +126,9 @@ def divergence(geometry: Geometry, vectors: ArrayLike, *, n_neighbors: int = 30)
     Returns
     -------
     ndarray of shape (n,)
-        In the unit of `vectors` over length. The mass is a third of the area of the triangles of
-        each point: for any f, ``mass @ (f * divergence)`` is ``-mass @ (gradient(f) *
-        vectors).sum(1)``. So what flows out through a boundary counts, too, at its points.
+        In the unit of `vectors` over length: with a third of the area of the triangles of each
+        point as mass, ``mass @ (f * divergence)`` is ``-mass @ (gradient(f) * vectors).sum(1)``. So
+        what flows out through a boundary counts, too, at its points.
 
     Notes
     -----
@@ -153,18 +154,10 @@ def _tangent(
     geometry: Geometry, n_neighbors: int, oriented: bool = False
 ) -> tuple[TangentGradient, Floats]:
     """Return them with the area of the triangles of each point, (n,), in some unit."""
-    unit = unit_of(geometry)
+    unit, n = unit_of(geometry), geometry.n
     points = geometry.points / unit
-    n = geometry.n
-    if isinstance(geometry, TriangleMesh):
-        check_faces_usable(geometry)
-        faces = geometry.faces
-        owners = faces.T.ravel()
-        faces = np.concatenate([faces] * 3)  # each triangle counts at all its corners
-    else:
-        n_neighbors = check_cloud_usable(geometry, n_neighbors)
-        faces = local_triangles(points, n_neighbors)[0].astype(np.int64)
-        owners = faces[:, 0]
+    faces = stars(geometry, points, n_neighbors)
+    owners = faces[:, 0]
     a, b, c = (points[faces[:, i]] for i in range(3))
     doubled: Floats = np.cross(b - a, c - a)
     areas = np.linalg.norm(doubled, axis=1) / 2
@@ -172,24 +165,30 @@ def _tangent(
     check_area_at_all(total)
     solid = areas > 0
     faces, owners, doubled, areas = faces[solid], owners[solid], doubled[solid], areas[solid]
-    frames = _frames(owners, doubled / areas[:, None] ** 0.5, n)
+    frames = frames_of(main_normals(owners, doubled / areas[:, None] ** 0.5, n))
     if oriented:
         frames = outward(frames, points, oriented_triangles(geometry, n_neighbors=n_neighbors))
     # The slope of the hat function of a corner, times the area, is half the side facing it, turned.
-    normals = doubled / (2 * areas[:, None])
-    rows, columns, slopes = [], [], []
-    for i in range(3):
-        side = points[faces[:, (i + 2) % 3]] - points[faces[:, (i + 1) % 3]]
-        share: Floats = np.cross(normals, side) / (2 * total[owners, None])
-        rows.append(owners)
-        columns.append(faces[:, i])
-        slopes.append(np.einsum("tar,tr->at", frames[owners, :2], share) / unit)
-    where = np.concatenate(rows), np.concatenate(columns)
-    x, y = (
-        sparse.csr_array((np.concatenate(values), where), shape=(n, n))
-        for values in zip(*slopes, strict=True)
-    )
+    corners = points[faces]
+    sides = np.roll(corners, 1, axis=1) - np.roll(corners, -1, axis=1)
+    turned = np.cross((doubled / (2 * areas * 2 * total[owners])[:, None])[:, None], sides)
+    slopes = np.einsum("tar,tcr->atc", frames[owners, :2], turned) / unit
+    where = np.repeat(owners, 3), faces.ravel()
+    x, y = (sparse.csr_array((part.ravel(), where), shape=(n, n)) for part in slopes)
     return TangentGradient(frames, x, y), np.asarray(total, dtype=np.float64)
+
+
+def stars(geometry: Geometry, points: Floats, n_neighbors: int, faces: Ints | None = None) -> Ints:
+    """Return the triangles (t, 3) at each point, their first corner: of a cloud its local ones.
+
+    Of a mesh all `faces`, its own or those wound otherwise, once for each corner.
+    """
+    if isinstance(geometry, TriangleMesh):
+        check_faces_usable(geometry)
+        corners = geometry.faces if faces is None else faces
+        return np.concatenate([np.roll(corners, -c, axis=1) for c in range(3)])
+    n_neighbors = check_cloud_usable(geometry, n_neighbors)
+    return local_triangles(points, n_neighbors)[0].astype(np.int64)
 
 
 def check_area_at_all(total: Floats | Ints) -> None:
@@ -203,25 +202,19 @@ def check_area_at_all(total: Floats | Ints) -> None:
         )
 
 
-def _frames(owners: Ints, normals: Floats, n: int) -> Floats:
-    """Return frames by the second moments of normals, given times the roots of their weights."""
-    moments = np.stack(
-        [
-            np.bincount(owners, normals[:, i] * normals[:, j], minlength=n)
-            for i in range(3)
-            for j in range(3)
-        ],
-        axis=1,
-    ).reshape(n, 3, 3)
-    axes = np.linalg.eigh(moments)[1]
-    first, normal = axes[:, :, 1], axes[:, :, 2]
-    return np.stack([first, np.cross(normal, first), normal], axis=1)
+def main_normals(owners: Ints, normals: Floats, n: int) -> Floats:
+    """Return the main axes (n, 3) of second moments of normals, times the roots of their weights.
+
+    Their signs say nothing.
+    """
+    moments = [np.bincount(owners, x * y, n) for x in normals.T for y in normals.T]
+    return np.asarray(np.linalg.eigh(np.stack(moments, axis=1).reshape(n, 3, 3))[1][:, :, 2])
 
 
 def outward(frames: Floats, points: Floats, outer: OrientedTriangles) -> Floats:
     """Return frames whose normals are on the side of the triangles at their points."""
     a, b, c = (points[outer.faces[:, i]] for i in range(3))
-    across, corners = np.cross(b - a, c - a), outer.faces.ravel()
-    normals = [np.bincount(corners, np.repeat(part, 3), len(points)) for part in across.T]
-    inward = np.einsum("rn,nr->n", normals, frames[:, 2]) < 0
+    across = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    normals = sums(outer.faces.ravel(), across, len(points))
+    inward = np.einsum("nr,nr->n", normals, frames[:, 2]) < 0
     return np.where(inward[:, None, None], frames * [[1.0], [-1.0], [-1.0]], frames)

@@ -8,23 +8,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spectra_kit._core.types import Bytes, Floats, Ints
-from spectra_kit._core.validate import as_array, check_count, check_points, real_array
+from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.validate import as_array, check_count, check_points
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import SurfacePath
 from spectra_kit.geometry.shapes import Geometry
-from spectra_kit.show.camera import View, fitting_size
-from spectra_kit.show.isolines import MARK
-from spectra_kit.show.layout import Cell, Page, set_table
+from spectra_kit.geometry.vectors import unit_vectors
+from spectra_kit.operators.checks import of_shape
+from spectra_kit.show.camera import View
+from spectra_kit.show.isolines import both_sides
+from spectra_kit.show.layout import Page
 from spectra_kit.show.picture import PathLike, plotted
-from spectra_kit.show.render import Scene, render, with_balls
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PLAIN = (214, 222, 235)  # the colour of the surface
-# Inches.
-_BALL, _WIDEST, _TALLEST, _ROOM = 0.06, 4.6, 4.6, 4.0
 _WIDTH, _FINE = 2.4, 1.1  # of a curve, of an arrow, in points (1/72 inch)
 _HALVINGS = 12
 _HEAD, _OPEN = 0.35, 0.5  # of an arrow: how long its head is, and how wide over that
@@ -70,13 +69,9 @@ def plot_curves(
     if not lines:
         raise InvalidInputError("curves", "hold at least one curve", "none")
     if marks is None:
-        open_ones = [line for line in lines if (line[0] != line[-1]).any()]
-        marks = np.unique([line[i] for line in open_ones for i in (0, -1)], axis=0)
-    at = np.empty((0, 3)) if not np.size(marks) else check_points("marks", marks)
+        marks = [line[i] for line in lines if (line[0] != line[-1]).any() for i in (0, -1)]
     segments = [np.stack([line[:-1], line[1:]], axis=1) for line in lines]
-    return _drawn(
-        geometry, np.concatenate([np.empty((0, 2, 3)), *segments]), _WIDTH, at, view, page
-    )
+    return both_sides(geometry, _PLAIN, np.concatenate(segments), _WIDTH, marks, view, page)
 
 
 @plotted
@@ -114,21 +109,17 @@ def plot_vectors(
     Picture(path=None)
     """
     given = as_array("vectors", vectors)
-    field = real_array("vectors", np.where(given != given, 0, given))
-    if field.shape != geometry.points.shape:
-        raise InvalidInputError("vectors", f"have shape {geometry.points.shape}", field.shape)
+    field = of_shape("vectors", np.where(given != given, 0, given), geometry.points.shape)
     some, apart = _spread(geometry.points, check_count("arrows", arrows, low=1))
     some = some[field[some].any(axis=1)]
     start, along = geometry.points[some], field[some]
     along = along * (apart / (np.linalg.norm(along, axis=1).max(initial=0.0) or 1.0))
-    rotation = view.rotation(geometry)
-    across = np.cross(rotation[2], along)  # in the picture
-    lengths = np.linalg.norm(along, axis=1, keepdims=True)
-    across *= _OPEN * _HEAD * lengths / np.linalg.norm(across, axis=1, keepdims=True).clip(1e-300)
-    tip = start + along
-    barbs = [tip - _HEAD * along + side * across for side in (1, -1)]
-    segments = [np.stack(ends, axis=1) for ends in ((start, tip), *((tip, b) for b in barbs))]
-    return _drawn(geometry, np.concatenate(segments), _FINE, np.empty((0, 3)), view, page)
+    across = np.cross(view.rotation(geometry)[2], along)  # in the picture
+    size = np.linalg.norm(along, axis=1, keepdims=True)
+    sideways, tip = _OPEN * size * unit_vectors(across), start + along
+    barbs = [tip - _HEAD * (along + way * sideways) for way in (-1, 1)]
+    segments = [np.stack(ends, axis=1) for ends in ((start, tip), (tip, barbs[0]), (tip, barbs[1]))]
+    return both_sides(geometry, _PLAIN, np.concatenate(segments), _FINE, (), view, page)
 
 
 def _spread(points: Floats, count: int) -> tuple[Ints, float]:
@@ -141,27 +132,3 @@ def _spread(points: Floats, count: int) -> tuple[Ints, float]:
         some = np.unique(cells, axis=0, return_index=True)[1]
         low, high = (middle, high) if len(some) > count else (low, middle)
     return some, float(middle)
-
-
-def _drawn(
-    geometry: Geometry, segments: Floats, width: float, marks: Floats, view: View, page: Page
-) -> Figure:
-    rotation, dpi = view.rotation(geometry), page.dpi
-    across, tall = fitting_size(geometry, rotation, _WIDEST, _TALLEST)
-    unit = float(np.ptp(geometry.points @ rotation.T, axis=0)[:2].max()) / max(across, tall)
-    drawn, ball = with_balls(geometry, marks, _BALL * unit)
-    colours: Bytes = np.where((ball >= 0)[:, None], MARK, _PLAIN).astype(np.uint8)
-    scene = Scene(
-        geometry=drawn,
-        functions=[colours],
-        rotation=rotation,
-        width=round(across * dpi),
-        behind=True,
-        lines=[segments],
-        line_width=width * dpi / 72,
-    )
-    (pictures,) = render([scene])
-    cells = [Cell(picture=picture) for picture in pictures]
-    stacked = across > 2 * tall
-    rows = [[cell] for cell in cells] if stacked else [cells]
-    return set_table(page, rows, cell=_ROOM if stacked else _ROOM / 2, foot=0.0)

@@ -264,7 +264,8 @@ def plot_fields(
         )
     if not pairs:
         raise InvalidInputError("fields", "hold at least one function", "none")
-    named = [(name, real_array(f"fields[{name!r}]", values)) for name, values in pairs]
+    unknown = "numpy.nan_to_num(values) draws what is not known as zero"
+    named = [(name, real_array(f"fields[{name!r}]", f, advice=unknown)) for name, f in pairs]
     for name, values in named:
         if values.shape != (geometry.n,):
             expected = f"have shape ({geometry.n},), one value for each point"

@@ -79,36 +79,58 @@ def plot_distance(
     """
     values = _check_distance(distance, geometry.n)
     marks = np.empty((0, 3)) if sources is None else check_points("sources", sources)
-    rotation, dpi = view.rotation(geometry), page.dpi
-    across, tall = fitting_size(geometry, rotation, _WIDEST, _TALLEST)
-    unit = float(np.ptp(geometry.points @ rotation.T, axis=0)[:2].max()) / max(across, tall)
+    unit = inch(geometry, view)
     levels = distance_levels(values, spacing, inch=unit)
     lines, widths = distance_lines(geometry, values, levels)
-    drawn, ball = with_balls(geometry, marks, _BALL * unit)
-    mark = np.full((int(np.count_nonzero(ball >= 0)), 3), MARK, dtype=np.uint8)
-    scene = Scene(
-        geometry=drawn,
-        functions=[np.vstack([distance_colours(values), mark])],
-        rotation=rotation,
-        width=round(across * dpi),
-        behind=True,
-        lines=[lines],
-        line_width=widths * dpi / 72,
-    )
-    (pictures,) = render([scene])
-    cells = [Cell(picture=picture) for picture in pictures]
-    stacked = across > 2 * tall
-    figure = set_table(
-        page,
-        [[cell] for cell in cells] if stacked else [cells],
-        cell=_ROOM if stacked else _ROOM / 2,
-        foot=_FOOT,
-    )
+    colours = distance_colours(values)
+    figure = both_sides(geometry, colours, lines, widths, marks, view, page, foot=_FOOT)
     caption = f"{label}, a line every {levels[0]:.4g}" if len(levels) else label
     caption += " · grey: not reached" * bool(np.isinf(values).any())
     caption += " · black balls: the sources" * bool(len(marks))
     _set_scale(Canvas(figure), largest(values), levels, caption)
     return figure
+
+
+def inch(geometry: Geometry, view: View) -> float:
+    """Return what an inch of a picture of `both_sides` is, in the unit of length."""
+    rotation = view.rotation(geometry)
+    extent = np.ptp(geometry.points @ rotation.T, axis=0)[:2].max()
+    return float(extent) / max(fitting_size(geometry, rotation, _WIDEST, _TALLEST))
+
+
+def both_sides(
+    geometry: Geometry,
+    colours: Bytes | tuple[int, int, int],
+    lines: Floats,
+    widths: Floats | float,
+    marks: ArrayLike,
+    view: View,
+    page: Page,
+    *,
+    foot: float = 0.0,
+) -> Figure:
+    """Draw a coloured geometry with lines, widths in points, and balls at `marks`."""
+    rotation = view.rotation(geometry)
+    across, tall = fitting_size(geometry, rotation, _WIDEST, _TALLEST)
+    at = np.empty((0, 3))
+    if np.size(marks):
+        at = np.unique(check_points("marks", marks), axis=0)
+    drawn, _ = with_balls(geometry, at, _BALL * inch(geometry, view))
+    every: Bytes = np.full((drawn.n, 3), MARK, dtype=np.uint8)
+    every[: geometry.n] = colours
+    scene = Scene(
+        geometry=drawn,
+        functions=[every],
+        rotation=rotation,
+        width=round(across * page.dpi),
+        behind=True,
+        lines=[lines],
+        line_width=widths * page.dpi / 72,
+    )
+    cells = [Cell(picture=picture) for picture in render([scene])[0]]
+    stacked = across > 2 * tall
+    rows = [[cell] for cell in cells] if stacked else [cells]
+    return set_table(page, rows, cell=_ROOM if stacked else _ROOM / 2, foot=foot)
 
 
 def distance_lines(geometry: Geometry, values: Floats, levels: Floats) -> tuple[Floats, Floats]:

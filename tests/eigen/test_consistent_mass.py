@@ -224,3 +224,15 @@ def test_who_consumes_such_a_spectrum() -> None:
     heat = sk.features.heat_kernel_signature(s, times=times)
     exact = sum((2 * l + 1) * np.exp(-l * (l + 1) * times) for l in range(7)) / (4 * np.pi)
     assert heat == pytest.approx(np.tile(exact, (mesh.n, 1)), rel=0.01)
+
+
+def test_equations_are_of_the_whole_mass() -> None:
+    """In its own modes, heat decays and Poisson's equation is solved mode by mode, to rounding."""
+    for laplacian in (made("delaunay"), made("boundary at zero")):
+        s = sk.eigensolve(laplacian, 12)
+        time = 0.3 / s.eigenvalues[5]
+        later = sk.operators.diffuse(laplacian, s.eigenvectors, time)
+        assert later == pytest.approx(np.exp(-time * s.eigenvalues) * s.eigenvectors, abs=1e-9)
+        varying = s.nonzero()
+        found = sk.operators.poisson(laplacian, varying.eigenvectors)
+        assert found == pytest.approx(varying.eigenvectors / varying.eigenvalues, abs=1e-8)
