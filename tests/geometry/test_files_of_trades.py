@@ -262,6 +262,14 @@ def test_clouds_with_headers(tmp_path, name, data):
     np.testing.assert_array_equal(read(tmp_path / f"{name}.gz").points, got.points)
 
 
+def test_empty_cells_are_no_columns_less(tmp_path):
+    (tmp_path / "a.csv").write_bytes(table("{},,{},{}"))
+    with pytest.raises(InvalidFileError, match="line 1 is broken"):
+        read(tmp_path / "a.csv")
+    (tmp_path / "b.csv").write_bytes(table("{},{},{},", head="x,y,z,\n"))
+    np.testing.assert_array_equal(read(tmp_path / "b.csv").points, V)
+
+
 def test_packed_points_of_pcd_say_how(tmp_path):
     (tmp_path / "a.pcd").write_bytes(pcd("binary_compressed") + bytes(99))
     with pytest.raises(
