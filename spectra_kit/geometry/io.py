@@ -314,10 +314,10 @@ def readable_files(paths: Iterable[Path], *, named: bool = False) -> list[Path]:
 
 def _known_as(path: Path) -> str:
     """Return the extension that names the format."""
-    suffix = format_of(path)
-    if suffix not in READERS and beginning(path, len(freesurfer.MARK)) == freesurfer.MARK:
-        return _SURFACES[0]
-    return suffix
+    suffix, mark = format_of(path), freesurfer.MARK
+    if suffix in READERS or not path.is_file() or beginning(path, len(mark)) != mark:
+        return suffix  # who opened a pipe would wait
+    return _SURFACES[0]
 
 
 def _lookup(table: dict[str, Any], path: Path, action: str, advice: str = "") -> Any:
