@@ -137,16 +137,18 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     npz           arrays points (or V, vertices, verts) and, for a mesh, faces (or F); where
                   none is called so, vert, v, xyz and triangles, tris, tri, TRIV, f
     npy           points of shape (n, 3)
-    xyz, txt,     the first three columns, or those that a first line calls x, y, z, parted
-    csv, asc,     by blanks, commas or semicolons; others, such as normals, are ignored; txt,
-    pts           csv and asc, which may be anything, are not looked for in folders
+    xyz           the first three columns, or those that a first line calls x, y, z, parted
+                  by blanks, commas or semicolons; others, such as normals, are ignored
+    pts           as xyz
+    txt, csv      as xyz; not looked for in folders, as they may be anything
+    asc           as txt
     pcd           ASCII or binary, not compressed
-    vtk, vtp,     polygons, strips, and grids whose cells are flat, by VTK
-    vtu
+    vtk, vtp      polygons and strips, by VTK
+    vtu           as vtk, which may be one, too: a grid whose cells are flat
     pial, white   triangles of FreeSurfer, and all other names that it gives them
     gii           one point set with its triangles, by nibabel (extra ``brain``)
-    msh, mesh,    triangles, quads and polygons of Gmsh, MEDIT and Abaqus, by meshio (extra
-    inp           ``meshio``)
+    msh           triangles, quads and polygons of Gmsh, by meshio (extra ``meshio``)
+    mesh, inp     as msh, of MEDIT and Abaqus
     ============  ====================================================================
 
     Polygons become triangles around their first corner where that is right, and are cut by their
@@ -314,10 +316,10 @@ def readable_files(paths: Iterable[Path], *, named: bool = False) -> list[Path]:
 
 def _known_as(path: Path) -> str:
     """Return the extension that names the format."""
-    suffix = format_of(path)
-    if suffix not in READERS and beginning(path, len(freesurfer.MARK)) == freesurfer.MARK:
-        return _SURFACES[0]
-    return suffix
+    suffix, mark = format_of(path), freesurfer.MARK
+    if suffix in READERS or not path.is_file() or beginning(path, len(mark)) != mark:
+        return suffix  # who opened a pipe would wait
+    return _SURFACES[0]
 
 
 def _lookup(table: dict[str, Any], path: Path, action: str, advice: str = "") -> Any:

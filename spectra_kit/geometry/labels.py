@@ -16,7 +16,6 @@ from spectra_kit._core.validate import as_array, positive_array, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import TriangleMesh, distinct_rows
 
-_BACKGROUND = 0
 _STEPS, _PASS = 30, 0.07  # of Taubin's filter: fewer leave stairs of voxels, more take small parts
 _LOST = 0.1  # of its volume, at most, is what smoothing may take from a label
 
@@ -96,8 +95,7 @@ def from_labels(
     [(1, 136), (2, 136)]
     """
     voxels, affine = _voxels(image, spacing)
-    held = np.unique(voxels)
-    held = held[held != _BACKGROUND]
+    held = np.setdiff1d(voxels, 0)
     if labels is not None:
         if missing := [label for label in labels if label not in held]:
             raise InvalidInputError("labels", "be in the image, and not 0", missing[0])
@@ -105,7 +103,7 @@ def from_labels(
     if not len(held):
         raise InvalidInputError("image", "hold a label", "nothing but 0, the background")
     place = np.minimum(np.searchsorted(held, voxels), len(held) - 1)
-    number = np.where(held[place] == voxels, place + 1, _BACKGROUND).astype(np.int32)
+    number = np.where(held[place] == voxels, place + 1, 0).astype(np.int32)
     where = np.nonzero(number)
     corner = np.array([axis.min() for axis in where])
     box = tuple(slice(axis.min(), axis.max() + 1) for axis in where)

@@ -104,14 +104,13 @@ def write_overlay(values: ArrayLike, path: str | os.PathLike[str]) -> None:
             gifti.save(part, {}, {f"{i}": column for i, column in enumerate(columns)})
     elif path.suffix.lower() not in _MORPHS:
         known = f"known are .gii, {', '.join(_MORPHS)}"
-        problem = InvalidInputError(f"cannot write values as {path.suffix!r}", advice=known)
-        raise InvalidFileError(path, problem)
+        raise InvalidFileError(path, f"cannot write values as {path.suffix!r}; {known}")
     elif len(columns) > 1:
         raise InvalidInputError("values", "have shape (n,) in files of FreeSurfer", array.shape)
     else:
+        head = _MORPH + np.array([len(array), 0, 1], ">i4").tobytes()
         with atomic_path(path) as part:
-            head = np.array([len(array), 0, 1], ">i4").tobytes()
-            part.write_bytes(_MORPH + head + columns[0].astype(">f4").tobytes())
+            part.write_bytes(head + columns[0].astype(">f4").tobytes())
 
 
 def _overlay(path: Path) -> Overlay:

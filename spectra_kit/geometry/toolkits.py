@@ -142,7 +142,9 @@ def _of_torch_geometric(thing: Any) -> Arrays:
 
 def _of_physicsnemo(thing: Any) -> Arrays:
     points, cells = (part.detach().cpu().numpy() for part in (thing.points, thing.cells))
-    if len(cells) and cells.shape[1] != 3:
+    if len(cells) and cells.shape[1] < 3:
+        raise refused(thing, _CURVES.format("points"))
+    if len(cells) and cells.shape[1] > 3:
         raise refused_volume(thing, "get_boundary_mesh()")
     return spatial(points), cells if len(cells) else None
 

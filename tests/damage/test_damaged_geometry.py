@@ -10,6 +10,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import pytest
+import pyvista
 import scipy.linalg
 import trimesh
 from frame import Case, damaged, flipped, part, pytest_generate_tests  # noqa: F401
@@ -177,6 +179,53 @@ def test_geometry_file(case: Case) -> None:
     if kind == ".npz":  # it has a checksum
         np.testing.assert_array_equal(got.points, was.points)
         np.testing.assert_array_equal(got.faces, was.faces)
+
+
+@cache
+def _of_trades() -> dict[str, tuple[bytes, Geometry]]:
+    """A small file of formats that other libraries read, each of which tells how much it holds."""
+    nibabel, meshio = pytest.importorskip("nibabel"), pytest.importorskip("meshio")
+    mesh = sphere(subdivisions=1).geometry
+    surface = pyvista.PolyData.from_regular_faces(np.array(mesh.points), np.array(mesh.faces))
+    files = {}
+    with TemporaryDirectory() as folder:
+        nibabel.freesurfer.write_geometry(f"{folder}/a.pial", mesh.points, mesh.faces)
+        write(mesh, f"{folder}/a.gii")
+        for name in ("a.vtk", "a.vtp"):
+            surface.save(f"{folder}/{name}")
+        surface.save(f"{folder}/b.vtk", binary=False)
+        surface.cast_to_unstructured_grid().save(f"{folder}/a.vtu")
+        meshio.write(f"{folder}/a.mesh", meshio.Mesh(mesh.points, [("triangle", mesh.faces)]))
+        head = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 42\nDATA "
+        rows = "".join(f"{x!r} {y!r} {z!r}\n" for x, y, z in mesh.points.tolist())
+        Path(folder, "a.pcd").write_text(f"{head}ascii\n{rows}")
+        data = f"{head}binary\n".encode() + mesh.points.astype("<f4").tobytes()
+        Path(folder, "b.pcd").write_bytes(data)
+        for path in sorted(Path(folder).iterdir()):
+            files[path.name] = path.read_bytes(), read(path)
+    return files
+
+
+@part()
+def test_files_of_other_trades(case: Case) -> None:
+    """Either refused, or as many points and faces as there were, but for what is told.
+
+    No library ends the process.
+    """
+    rng = case.rng
+    name = sorted(_of_trades())[rng.integers(len(_of_trades()))]
+    data, was = _of_trades()[name]
+    faults = [damaged, flipped, _header_damaged]
+    faults += TEXT * (name in ("a.mesh", "b.vtk", "a.pcd"))
+    path = case.folder / name
+    path.write_bytes(faults[rng.integers(len(faults))](rng, data))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        got = read(path)
+    assert told or (got.n, len(getattr(got, "faces", ()))) == (
+        was.n,
+        len(getattr(was, "faces", ())),
+    )
 
 
 def _described(data: bytes) -> list[object]:

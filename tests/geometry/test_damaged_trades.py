@@ -123,6 +123,7 @@ DAMAGED = [
     ("vtp", swapped(b'NumberOfPoints="42"', b'NumberOfPoints="99999999999"'), "of a kind in"),
     ("text.vtp", half, "VTK cannot read it"),
     ("vtu", half, "VTK cannot read it"),
+    ("vtu", swapped(b'Cells="80"', b'Cells="50"'), "counts 150 corners of cells in 240"),
     ("vtu", lambda data: b"<html></html>", "VTK cannot read it"),
     ("msh", half, r"does not end its \$\w+; it may be cut short"),
     ("msh", swapped(b"$EndElements", b""), r"does not end its \$Elements"),

@@ -2,6 +2,7 @@
 
 import builtins
 import gzip
+import os
 import sys
 
 import numpy as np
@@ -262,6 +263,14 @@ def test_clouds_with_headers(tmp_path, name, data):
     np.testing.assert_array_equal(read(tmp_path / f"{name}.gz").points, got.points)
 
 
+def test_empty_cells_are_no_columns_less(tmp_path):
+    (tmp_path / "a.csv").write_bytes(table("{},,{},{}"))
+    with pytest.raises(InvalidFileError, match="line 1 is broken"):
+        read(tmp_path / "a.csv")
+    (tmp_path / "b.csv").write_bytes(table("{},{},{},", head="x,y,z,\n"))
+    np.testing.assert_array_equal(read(tmp_path / "b.csv").points, V)
+
+
 def test_packed_points_of_pcd_say_how(tmp_path):
     (tmp_path / "a.pcd").write_bytes(pcd("binary_compressed") + bytes(99))
     with pytest.raises(
@@ -295,6 +304,9 @@ def test_meshes_of_libraries_that_are_not_here():
     solid = of_toolkit("physicsnemo", points=Tensor(TETRAHEDRON), cells=Tensor([[0, 1, 2, 3]]))
     with pytest.raises(InvalidInputError, match=r"its surface is get_boundary_mesh\(\)"):
         as_geometry(solid)
+    edges = of_toolkit("physicsnemo", points=Tensor(V), cells=Tensor(F[:, :2]))
+    with pytest.raises(InvalidInputError, match="its points, an array, make a cloud"):
+        as_geometry(edges)
     is_ball(of_toolkit("open3d", vertices=V, triangles=F))
     assert as_geometry(of_toolkit("open3d", points=V)).n == len(V)
 
@@ -321,6 +333,15 @@ def test_without_their_library_the_extra_is_named(tmp_path, monkeypatch, name, m
     monkeypatch.setattr(builtins, "__import__", lacking)
     with pytest.raises(MissingDependencyError, match=rf"pip install 'spectra_kit\[{extra}\]'"):
         read(tmp_path / name)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
+def test_what_is_looked_into_is_a_file(tmp_path):
+    os.mkfifo(tmp_path / "lh.pipe")
+    (tmp_path / "lh.gone").symlink_to(tmp_path / "nowhere")
+    (tmp_path / "lh.folder").mkdir()
+    by_freesurfer(tmp_path / "lh.any")
+    assert [one.path.name for one in find_inputs([tmp_path])] == ["lh.any"]
 
 
 def test_a_batch_takes_them(tmp_path):

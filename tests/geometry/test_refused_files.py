@@ -4,11 +4,9 @@ import zipfile
 
 import numpy as np
 import pytest
-import pyvista
 
 from spectra_kit.errors import InvalidFileError, InvalidInputError
-from spectra_kit.geometry import PointCloud, TriangleMesh, as_geometry, read, sphere, write
-from spectra_kit.interop import to_pyvista
+from spectra_kit.geometry import PointCloud, TriangleMesh, read, sphere, write
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
 CORNERS = "vertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"
@@ -154,11 +152,6 @@ def test_what_a_path_must_be(tmp_path):
     ]:
         with pytest.raises(InvalidInputError, match=problem):
             write(thing, tmp_path / name)
-    advice = r"spectra_kit\.interop\.to_pyvista\(geometry\)\.save\(path\) does; known are"
-    with pytest.raises(InvalidFileError, match=advice):
-        write(mesh, tmp_path / "mesh.vtp")
-    to_pyvista(mesh).save(tmp_path / "mesh.vtp")
-    assert as_geometry(pyvista.read(tmp_path / "mesh.vtp")).area == mesh.area
     with pytest.raises(InvalidInputError, match="`kind` must be 'mesh', 'cloud' or None"):
         read(tmp_path / "empty.ply", kind="volume")
 

@@ -15,11 +15,17 @@ from spectra_kit.geometry.formats._text import numbers, text_of, words_of
 BALL = sphere(subdivisions=1).geometry
 MESH = TriangleMesh(BALL.points * np.pi + 1 / 7, BALL.faces)
 KINDS = (".obj", ".off", ".stl", ".xyz")
+TABLES = (".xyz", ".csv", ".pts")
 
 
 def written(tmp_path, suffix, mesh=MESH):
     if suffix == ".stl":
         return solid(mesh.points[mesh.faces])
+    if suffix in (".csv", ".pts"):
+        mark = "," if suffix == ".csv" else " "
+        head = "id,x,y,z,u" if suffix == ".csv" else f"{mesh.n}"
+        rows = (mark.join(map(str, (i, *p, 0))) for i, p in enumerate(mesh.points.tolist()))
+        return "\n".join([head, *rows, ""]).encode()
     write(mesh.as_cloud() if suffix == ".xyz" else mesh, tmp_path / f"a{suffix}")
     return (tmp_path / f"a{suffix}").read_bytes()
 
@@ -40,9 +46,9 @@ def ways(kind, text):
     if kind == ".off":
         head = off._header([words for _, words in words_of(text)][:3])
         return off.at_once(text, head), lambda: off.line_by_line(text, head)
-    at_once = xyz.at_once(text) if kind == ".xyz" else stl.at_once(text)
+    at_once = xyz.at_once(text) if kind in TABLES else stl.at_once(text)
     found = None if at_once is None else (at_once, ())
-    if kind == ".xyz":
+    if kind in TABLES:
         return found, lambda: (xyz.line_by_line(text), ())
     return found, lambda: (stl.word_by_word(text)[0], ())
 
@@ -54,7 +60,7 @@ def assert_same(one, other):
         np.testing.assert_array_equal(ours, theirs)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [*KINDS, ".csv", ".pts"])
 @pytest.mark.filterwarnings("ignore")
 def test_what_is_read_at_once_is_what_the_lines_say(tmp_path, kind):
     """Of the file, and of it with one character more, less or another."""

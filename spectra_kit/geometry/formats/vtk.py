@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from spectra_kit._core.validate import quantity
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays
 from spectra_kit.geometry.formats._room import room
@@ -20,6 +21,8 @@ _COUNTS = re.compile(
     rb"\s+(\d+)(?:\s+(\d+))?",
     re.MULTILINE,
 )
+# Where the last cell ends, which XML says beside the number of cells.
+_ENDS = re.compile(rb'Name="offsets"[^>]*RangeMax="(\d+)"')
 _SMALLEST = 4  # bytes of what is counted, once unpacked
 
 
@@ -38,7 +41,19 @@ def read(path: Path) -> Arrays:
             f"announces {announced:,} of a kind in {len(data):,} bytes; it may be damaged"
         )
     thing = _object(path)
+    ends = sum(int(end) for end in _ENDS.findall(data))
+    if ends and ends != (held := _n_corners(thing)):
+        raise InvalidInputError(
+            f"counts {quantity(held, 'corner')} of cells in {ends:,}; it may be damaged"
+        )
     return held_by(thing, "pyvista.read(path)", is_bare=not thing.n_cells)
+
+
+def _n_corners(thing: Any) -> int:
+    """Return how many corners all cells have."""
+    parts = ("GetVerts", "GetLines", "GetPolys", "GetStrips", "GetCells")
+    cells = [getattr(thing, part)() for part in parts if hasattr(thing, part)]
+    return sum(one.GetNumberOfConnectivityIds() for one in cells if one is not None)
 
 
 def _object(path: Path) -> Any:

@@ -49,12 +49,27 @@ def _with_heading(text: bytes) -> bytes:
 
 
 def at_once(text: bytes) -> Floats | None:
-    """Read a table whose columns are parted by blanks; None of others."""
-    text = without_comments(text)
-    lines = None if b"," in text or b";" in text else Lines.of(text)
-    if not lines or lines.widths.min() < 3 or (lines.widths != lines.widths[0]).any():
+    """Read a table without gaps, in which x, y, z follow each other; None of others."""
+    text = without_comments(text).lstrip()
+    count, start, width = -1, 0, 0
+    heading, _, body = text.partition(b"\n")
+    if heading.strip().isdigit():
+        count, text = int(heading[:18]), body
+        heading, _, body = body.partition(b"\n")
+    if names := _names([(1, heading.decode(errors="replace"))])[0]:
+        start, width, text = names.index("x"), len(names), body
+        if names[start : start + 3] != ["x", "y", "z"]:
+            return None
+    n_commas = text.count(b",")
+    if b";" in text or (n_commas and (b" " in text or b"\t" in text)):
         return None
-    return lines.points(slice(None))
+    lines = Lines.of(text.replace(b",", b" ") if n_commas else text)
+    width = width or (int(lines.widths[0]) if lines else 0)
+    if not lines or width < 3 or (lines.widths != width).any() or count not in (-1, len(lines)):
+        return None
+    if n_commas not in (0, len(lines) * (width - 1)):  # an empty cell, or one behind the last
+        return None
+    return lines.points(slice(None), start)
 
 
 def line_by_line(text: bytes) -> list[list[float]]:
