@@ -390,12 +390,8 @@ class _Run:
         """Check `pairs`, and return what is known of them."""
         begin, laplacian = time.perf_counter(), self.laplacian
         pairs = _sorted(pairs)
-        spectrum = Spectrum(
-            pairs.eigenvalues,
-            pairs.eigenvectors,
-            laplacian.mass,
-            dimension=laplacian.dimension,
-        )
+        own = pairs.eigenvalues, pairs.eigenvectors, laplacian.mass
+        spectrum = Spectrum(*own, dimension=laplacian.dimension)
         certificate = certificate_of(spectrum, laplacian)
         if (error := certificate.orthonormality_error) > _ORTHONORMAL:
             raise InvalidSpectrumError(

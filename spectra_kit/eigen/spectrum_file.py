@@ -82,13 +82,8 @@ def read_spectrum_file(path: Path, *, mmap: bool) -> dict[str, Any]:
         count = record.pop("count", None)
         record |= {name: arrays.pop(name) for name in _RESIDUALS}
         certificate = Certificate(**record, count=ModeCount(**count) if count else None)
-    provenance, dimension = Provenance(**header["provenance"]), header.get("dimension", 2)
-    return {
-        **arrays,
-        "certificate": certificate,
-        "provenance": provenance,
-        "dimension": dimension,
-    }
+    told = {"provenance": Provenance(**header["provenance"]), "certificate": certificate}
+    return arrays | told | {"dimension": header.get("dimension", 2)}
 
 
 def _named(provenance: Mapping[str, Any]) -> dict[str, Any]:

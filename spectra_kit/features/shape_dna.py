@@ -72,7 +72,7 @@ def _dna(spectrum: Spectrum, count: int | None, normalize: Normalization | None 
     if count is not None:
         values = values[: check_count("count", count, low=1, high=len(values))]
     if normalize == "area":
-        return values * spectrum.area ** (2 / spectrum.dimension)
+        return np.asarray(values * spectrum.area ** (2 / spectrum.dimension))
     if normalize == "weyl":
         line = _weyl(len(values), spectrum)
         return np.asarray(values * (line @ line / (line @ values)))

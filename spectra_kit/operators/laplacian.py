@@ -51,8 +51,7 @@ class Laplacian(Rebuilt):
     fixed : array_like of int, default ()
         Points held at zero (homogeneous Dirichlet). None of them means Neumann.
     dimension : int, default 2
-        Of what the points are on: 3 in a volume, as of `tetrahedral_laplacian`. By Weyl's law it
-        says how far apart eigenvalues are, and how masses change with the unit of length.
+        3 in a volume, as of `tetrahedral_laplacian`: for Weyl's law, and changes of unit.
 
     Examples
     --------

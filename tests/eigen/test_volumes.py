@@ -204,7 +204,7 @@ def test_a_cut_shows_the_inside(scale: float) -> None:
 
 
 def test_what_cannot_be_cut_is_refused() -> None:
-    with pytest.raises(InvalidInputError, match=r"`values` must have shape \(990,\)"):
+    with pytest.raises(InvalidInputError, match=r"`values` must have shape \(990, c\)"):
         sk.show.cut_open(block(), np.zeros(7))
     with pytest.raises(InvalidInputError, match="`normal` must be a vector of three"):
         sk.show.cut_open(block(), np.zeros(990), normal=[0, 0, 0])
