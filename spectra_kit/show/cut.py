@@ -47,7 +47,8 @@ def cut_open(
     if len(functions) != mesh.n or functions.ndim not in (1, 2):
         raise InvalidInputError("values", f"have shape ({mesh.n}, c)", functions.shape)
     if towards.shape != (3,) or not towards.any():
-        raise InvalidInputError("normal", "be a vector of three numbers, not all zero", normal)
+        got = towards.shape if towards.any() else "zeros"
+        raise InvalidInputError("normal", "be a vector of three numbers, not all zero", got)
     unit = box_unit(mesh.points)
     middle = mesh.points.min(axis=0) / 2 + mesh.points.max(axis=0) / 2
     grid = pv.UnstructuredGrid({pv.CellType.TETRA: mesh.cells}, (mesh.points - middle) / unit)
