@@ -11,6 +11,7 @@ import spectra_kit as sk
 from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit._sparse.pencil import Pencil
 from spectra_kit._sparse.slicing import sliced_eigenpairs
+from spectra_kit.eigen.multigrid import well_spread
 from spectra_kit.eigen.subspaces import Union
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.features import HeatKernelSignature, ShapeDNA, WaveKernelSignature
@@ -120,6 +121,12 @@ def test_the_cascade_solves_volumes_as_accurately_as_it_says() -> None:
             errors = found.eigenvalues[1:] * factor**2 / exact - 1
             assert 0 < errors.mean() < 1e-3
             assert errors.mean() < 3 * found.certificate.errors.mean()
+
+
+def test_levels_are_the_same_in_any_unit() -> None:
+    subsets = [well_spread(scaled(ball(10), 2.0**power), 200) for power in (0, 20)]
+    assert (subsets[0].indices == subsets[1].indices).all()
+    assert subsets[1].radius == 2.0**20 * subsets[0].radius
 
 
 def test_a_level_may_have_fewer_points_than_the_next_is_to_have() -> None:

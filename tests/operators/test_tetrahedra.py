@@ -8,6 +8,7 @@ from scipy.sparse.linalg import eigsh
 from volumes import ball, ball_eigenvalues, box, box_eigenvalues
 
 import spectra_kit as sk
+from spectra_kit.eigen.run import Units
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry import TetrahedralMesh
 from spectra_kit.operators import tetrahedral_laplacian
@@ -133,6 +134,7 @@ def test_units_of_any_size(scale: float) -> None:
     assert second.eigenvalues[1:] == pytest.approx(scaled.eigenvalues[1:], rel=1e-9)
     assert second.mass == pytest.approx(scaled.mass, rel=1e-12)
     assert max(s.orthonormality_error() for s in (scaled, second)) < 1e-12
+    assert not any(Units.of(Units.of(other).taken_from(other)))
 
 
 def test_spacing_is_near_weyls_law_at_any_resolution() -> None:
