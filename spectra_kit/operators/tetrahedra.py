@@ -107,19 +107,20 @@ def _check_usable(mesh: TetrahedralMesh) -> None:
         )
     unused = np.ones(mesh.n, dtype=bool)
     unused[mesh.cells] = False
-    flat, enclosing = mesh.degenerate_cells(), "cells that enclose a volume, each once"
-    for bad, expected, noun, remedy in (
-        (unused, "a cell at every vertex", "unused vertex", "unreferenced()"),
-        (flat, enclosing, "flat or repeated cell", "degenerate_cells()"),
-    ):
-        if bad.any():
-            raise InvalidInputError(
-                "mesh",
-                f"have {expected}",
-                f"{quantity(bad.sum(), noun)} (the first is {np.argmax(bad)})",
-                advice="drop them with {}",
-                remedies=(f"mesh.without_{remedy}",),
-            )
+    if unused.any():
+        raise InvalidInputError(
+            "mesh",
+            "have a cell at every vertex",
+            f"{quantity(unused.sum(), 'unused vertex')} (the first is {np.argmax(unused)})",
+            advice="drop them with mesh.without_unreferenced()",
+        )
+    if (flat := mesh.degenerate_cells()).any():
+        raise InvalidInputError(
+            "mesh",
+            "have cells that enclose a volume, each once",
+            f"{quantity(flat.sum(), 'flat or repeated cell')} (the first is {np.argmax(flat)})",
+            advice="drop them with mesh.without_degenerate_cells()",
+        )
     if many := int((mesh._faces[1] > 2).sum()):
         expected, got = "have faces of one cell or two", f"{quantity(many, 'face')} of more"
         raise InvalidInputError("mesh", expected, got, advice="cells overlap there: mesh it anew")
