@@ -113,19 +113,14 @@ class NotConvergedError(Exception):
 
 def check_dimension_of(part: object, laplacian: Laplacian) -> None:
     """Refuse a solver or subspace on a volume where it, or what it holds, knows no volumes."""
-    if laplacian.dimension == 2:
+    if laplacian.dimension == 2 or part is None:
         return
     if getattr(part, "of_surfaces", False):
-        raise InvalidInputError(
-            type(part).__name__,
-            "be given surfaces, which the network has learned",
-            "a volume",
-            advice="use Automatic(accuracy=1e-3) or Cascade()",
-        )
-    for held in (getattr(part, name, None) for name in ("subspace", "start", "parts")):
-        for one in held if isinstance(held, tuple) else (held,):
-            if one is not None:
-                check_dimension_of(one, laplacian)
+        expected, advice = "be given surfaces, which it has learned", "use Cascade()"
+        raise InvalidInputError(type(part).__name__, expected, "a volume", advice=advice)
+    parts = getattr(part, "parts", ())
+    for held in (getattr(part, "subspace", None), getattr(part, "start", None), *parts):
+        check_dimension_of(held, laplacian)
 
 
 def set_device(solver: Any) -> None:

@@ -62,7 +62,7 @@ class Spectrum(Rebuilt):
     consistent_mass : sparse array of shape (n, n), optional
         M where it is not diagonal; `mass`, lumped, then weighs points.
     dimension : int, default 2
-        Of what the points are on: 3 in a volume, as `Laplacian.dimension` says.
+        3 in a volume, as `Laplacian.dimension` says.
 
     Examples
     --------
@@ -137,10 +137,7 @@ class Spectrum(Rebuilt):
 
     @property
     def n_zero_modes(self) -> int:
-        """Number of modes in the kernel: certified where possible, else lambda * area < 1e-7.
-
-        In a volume, lambda * volume^(2/3).
-        """
+        """Number of modes in the kernel: certified where possible, else lambda * area < 1e-7."""
         if self.certificate is not None:
             return self.certificate.n_zero_modes
         return int((self.eigenvalues * self.area ** (2 / self.dimension) <= _ZERO_MODE).sum())
@@ -161,9 +158,8 @@ class Spectrum(Rebuilt):
         multiplied by its cube, and eigenvectors divided by the root of that. The provenance has no
         input hash, for no solver has seen the scaled surface.
         """
-        largest, powers = (_LARGEST_FACTOR, "squares")
-        if self.dimension == 3:
-            largest, powers = largest ** (2 / 3), "cubes"
+        largest = _LARGEST_FACTOR ** (2 / self.dimension)
+        powers = "squares" if self.dimension == 2 else "cubes"
         if not 1 / largest <= check_positive("factor", factor) <= largest:
             raise InvalidInputError(
                 "factor",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,12 +54,9 @@ def outside_kernel(spectrum: Spectrum) -> Spectrum:
     return modes
 
 
-def weyl(k: float, dimension: int = 2) -> float:
-    """Return what Weyl's law expects of eigenvalue number k of a surface of area one.
-
-    Or of a volume of one, by its dimension 3.
-    """
-    return 4 * np.pi * k if dimension == 2 else float((6 * np.pi**2 * k) ** (2 / 3))
+def weyl(k: float | Ints, dimension: int = 2) -> Any:
+    """Return what Weyl's law expects of eigenvalue number k where area, or volume, is one."""
+    return 4 * np.pi * k if dimension == 2 else (6 * np.pi**2 * k) ** (2 / 3)
 
 
 def squares(spectrum: Spectrum, weights: Floats) -> Floats:

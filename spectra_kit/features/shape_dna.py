@@ -74,7 +74,7 @@ def _dna(spectrum: Spectrum, count: int | None, normalize: Normalization | None 
     if normalize == "area":
         return np.asarray(values * spectrum.area ** (2 / spectrum.dimension))
     if normalize == "weyl":
-        line = _weyl(len(values), spectrum)
+        line = weyl(np.arange(1, len(values) + 1), spectrum.dimension)
         return np.asarray(values * (line @ line / (line @ values)))
     return values / values[0] if normalize == "first" else values.copy()
 
@@ -164,9 +164,5 @@ class ShapeDNA(Isometric):
     def of_all(self, surface: Surface) -> Floats:
         """Return (count,): ``log(lambda_i area / (4 pi i))``."""
         dna = _dna(surface.spectrum, self.count)
-        return np.log(dna / _weyl(self.count, surface.spectrum))
-
-
-def _weyl(count: int, spectrum: Spectrum) -> Floats:
-    """Return what Weyl's law expects of the first eigenvalues where area, or volume, is one."""
-    return np.array([weyl(i, spectrum.dimension) for i in range(1, count + 1)])
+        law = weyl(np.arange(1, self.count + 1), surface.spectrum.dimension)
+        return np.asarray(np.log(dna / law))

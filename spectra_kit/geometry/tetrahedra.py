@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,18 +24,15 @@ _FLAT = 1e-14  # of the cube of the longest side: a determinant below has no dig
 _FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 
 
-@checked
-@dataclass(frozen=True, eq=False)
-class BoundarySurface(Rebuilt):
+class BoundarySurface(NamedTuple):
     """The surface of a volume.
 
-    Parameters
+    Attributes
     ----------
     mesh : TriangleMesh
         Closed, wound outwards.
     vertex_index : ndarray of shape (n,)
-        The point of the volume that each of its vertices is, ascending: what `values` hold there is
-        ``values[vertex_index]``.
+        The vertex of the volume that each of its vertices is, ascending.
     """
 
     mesh: TriangleMesh
@@ -43,13 +40,13 @@ class BoundarySurface(Rebuilt):
 
 
 @checked
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class TetrahedralMesh(Rebuilt):
     """A volume cut into tetrahedra.
 
-    Where one is asked for, a ``lapy.TetMesh``, a ``meshio.Mesh``, an ``UnstructuredGrid`` of
-    PyVista, a ``MeshTet`` of scikit-fem and ``(points, cells)`` do as well. The constructor refuses
-    NaN and indices out of range, and keeps all else as it came.
+    Where one is asked for, ``(points, cells)``, a ``lapy.TetMesh``, a ``meshio.Mesh``, PyVista's
+    ``UnstructuredGrid`` and scikit-fem's ``MeshTet`` do as well. The constructor refuses NaN and
+    indices out of range, and keeps all else as it came.
 
     Parameters
     ----------
@@ -70,19 +67,12 @@ class TetrahedralMesh(Rebuilt):
     cells: Ints
 
     def __post_init__(self) -> None:
-        points, cells = check_points("points", self.points).copy(), as_array("cells", self.cells)
+        points, cells = check_points("points", self.points), as_array("cells", self.cells)
         if cells.ndim != 2 or cells.shape[1] != 4 or not len(cells):
-            advice = "did you pass its transpose?" if cells.ndim == 2 and len(cells) == 4 else ""
-            if cells.ndim == 2 and cells.shape[1] == 3:
-                advice = "of triangles, TriangleMesh is a surface"
-            expected = "have shape (m, 4), of at least one tetrahedron"
-            raise InvalidInputError("cells", expected, cells.shape, advice=advice)
-        object.__setattr__(self, "points", frozen(points))
-        cells = check_indices("cells", cells, len(points)).copy()
-        object.__setattr__(self, "cells", frozen(cells))
-
-    def __repr__(self) -> str:
-        return f"TetrahedralMesh({self.n} vertices, {len(self.cells)} cells)"
+            raise InvalidInputError("cells", "have shape (m, 4), m >= 1", cells.shape)
+        cells = check_indices("cells", cells, len(points))
+        object.__setattr__(self, "points", frozen(points.copy()))
+        object.__setattr__(self, "cells", frozen(cells.copy()))
 
     @property
     def n(self) -> int:
@@ -91,10 +81,9 @@ class TetrahedralMesh(Rebuilt):
 
     @cached_property
     def cell_volumes(self) -> Floats:
-        """Volume of each tetrahedron, shape (m,), in length^3."""
-        determinants, exponents = self._measured
-        with np.errstate(over="ignore"):  # infinite is what they are in this unit
-            return frozen(np.ldexp(np.abs(determinants) / 6, 3 * exponents))
+        """Volume of each tetrahedron, shape (m,), in length^3; infinite where it is no number."""
+        with np.errstate(over="ignore"):
+            return frozen(np.ldexp(np.abs(self._measured[0]) / 6, 3 * self._measured[1]))
 
     @property
     def volume(self) -> float:
@@ -107,21 +96,15 @@ class TetrahedralMesh(Rebuilt):
         first, counts, faces = self._faces
         outer = faces[np.sort(first[counts == 1])]
         if not len(outer):
-            raise InvalidInputError(
-                "mesh",
-                "have faces of one cell alone",
-                f"{quantity(len(self.cells), 'cell')} whose faces are all shared",
-                advice="is each there twice? drop them with {}",
-                remedies=("mesh.without_duplicate_cells()",),
-            )
+            advice = "is each cell there twice?"
+            raise InvalidInputError("mesh", "have faces of one cell alone", "none", advice=advice)
         used = np.unique(outer)
-        return BoundarySurface(
-            TriangleMesh(self.points[used], np.searchsorted(used, outer)), frozen(used)
-        )
+        mesh = TriangleMesh(self.points[used], np.searchsorted(used, outer))
+        return BoundarySurface(mesh, frozen(used))
 
     @property
     def boundary_vertices(self) -> Ints:
-        """Vertices of the `surface`, ascending: where a Dirichlet operator is zero."""
+        """Vertices of the `surface`, ascending."""
         return self.surface.vertex_index
 
     def without_unreferenced(self) -> TetrahedralMesh:
@@ -134,25 +117,19 @@ class TetrahedralMesh(Rebuilt):
         return TetrahedralMesh(self.points, self.cells[~self.degenerate_cells()])
 
     def degenerate_cells(self) -> NDArray[np.bool_]:
-        """Mark cells with a vertex twice, or without volume; shape (m,).
+        """Mark cells without a volume, and those of the same vertices as one before: (m,).
 
         Six times a volume is none up to 1e-14 of the cube of about the longest side.
         """
-        ascending = np.sort(self.cells, axis=1)
-        twice = (ascending[:, 1:] == ascending[:, :-1]).any(axis=1)
-        return np.asarray(twice | (np.abs(self._measured[0]) <= _FLAT))
-
-    def without_duplicate_cells(self) -> TetrahedralMesh:
-        """Return the mesh with each cell once, whatever the order of its vertices."""
-        first, _ = distinct_rows(np.sort(self.cells, axis=1))
-        return TetrahedralMesh(self.points, self.cells[first])
+        flat = np.abs(self._measured[0]) <= _FLAT
+        flat[np.setdiff1d(np.arange(len(flat)), distinct_rows(np.sort(self.cells, axis=1))[0])] = 1
+        return flat
 
     @cached_property
     def _measured(self) -> tuple[Floats, NDArray[np.int32]]:
         """Signed six-fold volume of each cell, and its unit of length as a power of two."""
         blocks = [((a * cross(b, c)).sum(axis=0), e) for _, (a, b, c), e in scaled_sides(self)]
-        determinants, exponents = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
-        return determinants, exponents
+        return tuple(np.concatenate(parts) for parts in zip(*blocks, strict=True))  # type: ignore[return-value]
 
     @cached_property
     def _faces(self) -> tuple[Ints, Ints, Ints]:
@@ -161,37 +138,27 @@ class TetrahedralMesh(Rebuilt):
         faces = np.take_along_axis(self.cells[:, None, :], turned, axis=2).reshape(-1, 3)
         a, b, c = np.sort(faces, axis=1).T
         order = np.lexsort((c, a * self.n + b))
-        a, b, c = a[order], b[order], c[order]
-        new = (np.diff(a) != 0) | (np.diff(b) != 0) | (np.diff(c) != 0)
-        starts = np.flatnonzero(np.append(True, new))
+        same = np.diff(np.stack([a, b, c])[:, order], axis=1, prepend=-1) == 0
+        starts = np.flatnonzero(~same.all(axis=0))
         return order[starts], np.diff(np.append(starts, len(order))), faces
 
     @staticmethod
     def _made_of(thing: Any) -> TetrahedralMesh:
         """Make one of what others have. By their names: nothing is imported for it."""
-        kinds: dict[str, Any] = {}
         if isinstance(thing, tuple | list) and len(thing) == 2:
             return TetrahedralMesh(*thing)
         if hasattr(thing, "v") and hasattr(thing, "t"):  # of LaPy
             return TetrahedralMesh(thing.v, thing.t)
         if hasattr(thing, "p") and hasattr(thing, "t"):  # of scikit-fem, by columns
             return TetrahedralMesh(thing.p.T, thing.t.T)
-        if hasattr(thing, "cells_dict"):  # of meshio by words, of PyVista by VTK's numbers
-            kinds = {str(kind): cells for kind, cells in thing.cells_dict.items()}
+        # Of meshio by words, of PyVista by VTK's numbers.
+        kinds = {str(kind): cells for kind, cells in getattr(thing, "cells_dict", {}).items()}
         cells = kinds.pop("tetra", kinds.pop("10", None))
         if cells is None:
-            raise InvalidInputError(
-                "thing",
-                "be a TetrahedralMesh",
-                type(thing).__name__,
-                advice="(points, cells) make one, and what has linear tetrahedra of LaPy, meshio,"
-                " PyVista or scikit-fem",
-            )
-        if others := sum(map(len, kinds.values())):
-            warn(
-                f"passed over {quantity(others, 'cell')} beside the tetrahedra",
-                IgnoredContentWarning,
-            )
+            advice = "(points, cells) make one, and what has linear tetrahedra"
+            raise InvalidInputError("thing", "be a TetrahedralMesh", advice=advice)
+        if n := sum(map(len, kinds.values())):
+            warn(f"passed over {quantity(n, 'cell')} beside the tetrahedra", IgnoredContentWarning)
         return TetrahedralMesh(thing.points, cells)
 
 
@@ -203,13 +170,11 @@ def scaled_sides(mesh: TetrahedralMesh) -> Iterator[tuple[slice, Floats, NDArray
     columns = np.ascontiguousarray(mesh.points.T)
     for start in range(0, len(mesh.cells), _BLOCK):
         block = slice(start, start + _BLOCK)
-        corners = columns[:, mesh.cells[block].T]  # (3, 4, b)
-        # Halves, of which no difference overflows.
-        sides = np.moveaxis(corners[:, 1:] / 2 - corners[:, :1] / 2, 0, 1)
+        halves = columns[:, mesh.cells[block].T] / 2  # of which no difference overflows
+        sides = np.moveaxis(halves[:, 1:] - halves[:, :1], 0, 1)
         exponents = np.frexp(np.abs(sides).max(axis=(0, 1)))[1]
         half = -exponents // 2  # one power of two might overflow
-        sides = np.ldexp(np.ldexp(sides, half), -exponents - half)
-        yield block, sides, exponents + 1
+        yield block, np.ldexp(np.ldexp(sides, half), -exponents - half), exponents + 1
 
 
 def cross(a: Floats, b: Floats) -> Floats:

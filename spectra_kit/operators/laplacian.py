@@ -63,8 +63,7 @@ class Laplacian(Rebuilt):
     consistent_mass : sparse array of shape (n, n), optional
         M where it is not diagonal: the eigenproblem is of it, and `mass`, lumped, weighs points.
     dimension : int, default 2
-        Of what the points are on: 3 in a volume, as of `tetrahedral_laplacian`. By Weyl's law it
-        says how far apart eigenvalues are, and how masses change with the unit of length.
+        3 in a volume, as of `tetrahedral_laplacian`: for Weyl's law, and changes of unit.
 
     Examples
     --------

@@ -11,11 +11,12 @@ from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
 from spectra_kit._core.validate import quantity
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.shapes import box_unit
 from spectra_kit.geometry.tetrahedra import TetrahedralMesh, cross, scaled_sides
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.operators.triangle_calculus import linear_mass
 
-_SMALLEST, _LARGEST = 1e-85, 1e85  # extents, of which cubes and products are numbers
+_LARGEST = 1e85  # extents, whose cubes are numbers; as those of the inverse are
 _EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]).T
 
 
@@ -28,8 +29,7 @@ def tetrahedral_laplacian(
     Parameters
     ----------
     mesh : TetrahedralMesh
-        Or one of LaPy, meshio, PyVista or scikit-fem, or ``(points, cells)``. Without unreferenced
-        vertices and flat cells; of any orientation.
+        Without unreferenced vertices, flat and repeated cells; of any orientation.
     mass : {"lumped", "consistent"}, default "lumped"
         A quarter of each cell to each of its corners, which approximates eigenvalues from below as
         a rule; or the integrals of products, with which they are bounds from above.
@@ -95,47 +95,29 @@ def matrices(mesh: TetrahedralMesh, mass: str) -> tuple[sparse.csr_array, Any]:
 
 def _check_usable(mesh: TetrahedralMesh) -> None:
     """Refuse what has no mass, no gradients, or other volumes than those of its cells."""
-    with np.errstate(over="ignore"):
-        extent = float(np.ptp(mesh.points, axis=0).max())
-    if not _SMALLEST < extent < _LARGEST:
+    if not 1 / _LARGEST < box_unit(mesh.points) < _LARGEST:
         raise InvalidInputError(
             "mesh",
-            f"have an extent between {_SMALLEST:g} and {_LARGEST:g}",
-            f"{quantity(mesh.n, 'vertex')} within {extent:g}",
+            f"have an extent between {1 / _LARGEST:g} and {_LARGEST:g}",
+            f"{quantity(mesh.n, 'vertex')} within about {box_unit(mesh.points):g}",
             advice="choose another unit of length",
         )
-    used = np.zeros(mesh.n, dtype=bool)
-    used[mesh.cells] = True
-    if not used.all():
+    unused = np.ones(mesh.n, dtype=bool)
+    unused[mesh.cells] = False
+    if unused.any():
         raise InvalidInputError(
             "mesh",
             "have a cell at every vertex",
-            f"{quantity((~used).sum(), 'vertex')} that no cell uses (the first is"
-            f" {int(np.argmin(used))})",
-            advice="drop them with {}",
-            remedies=("mesh.without_unreferenced()",),
+            f"{quantity(unused.sum(), 'unused vertex')} (the first is {np.argmax(unused)})",
+            advice="drop them with mesh.without_unreferenced()",
         )
     if (flat := mesh.degenerate_cells()).any():
         raise InvalidInputError(
             "mesh",
-            "have cells of four corners that enclose a volume",
-            f"{quantity(flat.sum(), 'cell')} that do not (the first is {int(np.argmax(flat))})",
-            advice="drop them with {}",
-            remedies=("mesh.without_degenerate_cells()",),
+            "have cells that enclose a volume, each once",
+            f"{quantity(flat.sum(), 'flat or repeated cell')} (the first is {np.argmax(flat)})",
+            advice="drop them with mesh.without_degenerate_cells()",
         )
-    if (twice := len(mesh.cells) - len(mesh.without_duplicate_cells().cells)) > 0:
-        raise InvalidInputError(
-            "mesh",
-            "have each cell once",
-            quantity(twice, "duplicate cell"),
-            advice="drop them with {}",
-            remedies=("mesh.without_duplicate_cells()",),
-        )
-    _, counts, _ = mesh._faces
-    if (many := int((counts > 2).sum())) > 0:
-        raise InvalidInputError(
-            "mesh",
-            "have faces of one cell or two",
-            quantity(many, "face") + " of more",
-            advice="cells overlap there: mesh the parts anew, or leave cells out",
-        )
+    if many := int((mesh._faces[1] > 2).sum()):
+        expected, got = "have faces of one cell or two", f"{quantity(many, 'face')} of more"
+        raise InvalidInputError("mesh", expected, got, advice="cells overlap there: mesh it anew")

@@ -17,7 +17,7 @@ from spectra_kit.geometry.tetrahedra import TetrahedralMesh
 def cut_open(
     mesh: TetrahedralMesh, values: ArrayLike, *, normal: ArrayLike = (1.0, 0.0, 0.0)
 ) -> tuple[TriangleMesh, Floats]:
-    """Cut a volume by a plane through its middle, and return the surface of what lies behind.
+    """Cut a volume through its middle, and return the surface of what is left, with the section.
 
     Parameters
     ----------
@@ -30,10 +30,8 @@ def cut_open(
 
     Returns
     -------
-    surface : TriangleMesh
-        With the section, for `plot_fields`.
-    values : ndarray of shape (its n,) or (its n, c)
-        There, linear inside each cell.
+    tuple of TriangleMesh and ndarray
+        For `plot_fields`: the surface and the values there, linear inside each cell.
 
     Examples
     --------
@@ -47,11 +45,10 @@ def cut_open(
 
     functions, towards = real_array("values", values), real_array("normal", normal)
     if len(functions) != mesh.n or functions.ndim not in (1, 2):
-        raise InvalidInputError(
-            "values", f"have shape ({mesh.n},) or ({mesh.n}, c)", functions.shape
-        )
+        raise InvalidInputError("values", f"have shape ({mesh.n}, c)", functions.shape)
     if towards.shape != (3,) or not towards.any():
-        raise InvalidInputError("normal", "be a vector of three numbers, not all zero", normal)
+        got = towards.shape if towards.any() else "zeros"
+        raise InvalidInputError("normal", "be a vector of three numbers, not all zero", got)
     unit = box_unit(mesh.points)
     middle = mesh.points.min(axis=0) / 2 + mesh.points.max(axis=0) / 2
     grid = pv.UnstructuredGrid({pv.CellType.TETRA: mesh.cells}, (mesh.points - middle) / unit)

@@ -11,6 +11,7 @@ import spectra_kit as sk
 from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit._sparse.pencil import Pencil
 from spectra_kit._sparse.slicing import sliced_eigenpairs
+from spectra_kit.eigen.multigrid import well_spread
 from spectra_kit.eigen.subspaces import Union
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.features import HeatKernelSignature, ShapeDNA, WaveKernelSignature
@@ -122,6 +123,12 @@ def test_the_cascade_solves_volumes_as_accurately_as_it_says() -> None:
             assert errors.mean() < 3 * found.certificate.errors.mean()
 
 
+def test_levels_are_the_same_in_any_unit() -> None:
+    subsets = [well_spread(scaled(ball(10), 2.0**power), 200) for power in (0, 20)]
+    assert (subsets[0].indices == subsets[1].indices).all()
+    assert subsets[1].radius == pytest.approx(2.0**20 * subsets[0].radius, rel=1e-12)
+
+
 def test_a_level_may_have_fewer_points_than_the_next_is_to_have() -> None:
     grid = box(40, 18, 18, sides=(3.0, 1.0, 1.0))  # of which balls hold one point or many
     found = sk.eigensolve(tetrahedral_laplacian(grid), 100, sk.Cascade())
@@ -204,7 +211,7 @@ def test_a_cut_shows_the_inside(scale: float) -> None:
 
 
 def test_what_cannot_be_cut_is_refused() -> None:
-    with pytest.raises(InvalidInputError, match=r"`values` must have shape \(990,\)"):
+    with pytest.raises(InvalidInputError, match=r"`values` must have shape \(990, c\)"):
         sk.show.cut_open(block(), np.zeros(7))
     with pytest.raises(InvalidInputError, match="`normal` must be a vector of three"):
         sk.show.cut_open(block(), np.zeros(990), normal=[0, 0, 0])

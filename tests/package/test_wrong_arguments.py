@@ -118,6 +118,8 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     slopes = operators.tangent_gradient(mesh)
     frames = operators.tangent_frames(mesh)
     triangulation = sk.intrinsic_delaunay(mesh)
+    corners = np.eye(4, 3)
+    tetrahedra = geometry.TetrahedralMesh(corners, [[0, 1, 2, 3]])
     prepared = sk.prepare(spectrum, mesh)
     heat_geodesics = sk.HeatGeodesics(mesh)
     field = heat_geodesics.distance(0)
@@ -193,7 +195,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         *(sk.eigen.ModeCount(verified=3, radius=0.1, floor=2.0), maps.Truth(same, same)),
         *(geometry.sample_with_origin(mesh, 50, seed=0), geometry.Normalization.unit_box(mesh)),
         *(geometry.Problem(1, "a hole", "mend it"), geodesics.FacePoint(0, (1.0, 0.0, 0.0))),
-        *(collected, collection, found),
+        *(collected, collection, found, tetrahedra),
         subspaces.canonical_frame(mesh.points, spectrum.mass),
         maps.precise_map(spectrum, spectrum, identity, mesh.faces),
     )
@@ -223,6 +225,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("vectors", np.ones((n, 3))),
         ("IntrinsicTriangulation.divergence.vectors", np.ones((len(triangulation.corners), 2))),
         ("rhs density potential diffuse.field", np.ones(n)),
+        ("cut_open.values", corners[:, 0]),
         ("Laplacian.solve.fixed poisson.fixed", [0, 1]),
         ("fiedler_order.surface", ball.with_points(ball.points * [1, 1.3, 1.7])),
         ("spectral_segments.surface", geometry.creature(500)),
