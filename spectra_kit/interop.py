@@ -26,7 +26,7 @@ from spectra_kit.eigen import Provenance, Spectrum
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.maps.convert import check_functional_map
-from spectra_kit.operators.laplacian import Laplacian, split_mass
+from spectra_kit.operators.laplacian import Laplacian, check_dimension, split_mass
 from spectra_kit.operators.tangent import TangentGradient
 
 if TYPE_CHECKING:
@@ -89,6 +89,7 @@ def from_arrays(
     mass: Annotated[ArrayLike, sparse.sparray],
     *,
     solver: str = "user",
+    dimension: int = 2,
 ) -> Spectrum:
     """Make a spectrum of anybody's eigenpairs.
 
@@ -99,10 +100,12 @@ def from_arrays(
     eigenvectors : array_like of shape (n, k)
         Columns, M-orthonormal to 1e-4.
     mass : array_like of shape (n,), or array or sparse array of shape (n, n)
-        The mass they are orthonormal in, in length^2: lumped, or the full matrix of linear finite
-        elements.
+        The mass they are orthonormal in, in length^2, of volumes in length^3: lumped, or the full
+        matrix of finite elements.
     solver : str, default "user"
         For the provenance.
+    dimension : int, default 2
+        3 for modes of a volume.
 
     Returns
     -------
@@ -122,7 +125,7 @@ def from_arrays(
     vectors = np.asarray(eigenvectors, dtype=np.float64)
     lumped, matrix = split_mass("mass", mass, len(vectors))
     diagonal = check_mass("mass", lumped, len(vectors))
-    floor = -_NEGATIVE * 4 * np.pi / diagonal.sum()
+    floor = -_NEGATIVE * 4 * np.pi / diagonal.sum() ** (2 / check_dimension(dimension))
     if values.size and values.min() < floor:
         raise InvalidInputError(
             "eigenvalues",
@@ -134,6 +137,7 @@ def from_arrays(
         np.maximum(values, 0.0),
         vectors,
         diagonal if matrix is None else matrix,
+        dimension=dimension,
         provenance=Provenance(solver=solver, name="" if solver == "user" else solver.lower()),
     )
     if (error := spectrum.orthonormality_error()) > _ORTHONORMAL:

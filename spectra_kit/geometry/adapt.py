@@ -18,6 +18,7 @@ from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 from spectra_kit.geometry.tetrahedra import TetrahedralMesh
 from spectra_kit.geometry.toolkits import arrays_of, refused, spatial
 
+_VOLUME = "tetrahedral_laplacian(mesh) is its operator, mesh.surface.mesh its surface"
 _OTHERS = (
     "a path, a mesh or cloud of trimesh, PyVista or meshio, (vertices, faces), or points of shape"
     " (n, 3) make one, too"
@@ -91,8 +92,7 @@ def adapted(thing: Any) -> Geometry:
         isinstance(thing, Sequence) or hasattr(thing, "__array__")
     ):
         return PointCloud(thing)
-    is_volume = isinstance(thing, TetrahedralMesh)
-    raise refused(thing, "its surface is mesh.surface.mesh" if is_volume else _OTHERS)
+    raise refused(thing, _VOLUME if isinstance(thing, TetrahedralMesh) else _OTHERS)
 
 
 def _of_table(points: Any, faces: Any) -> TriangleMesh:

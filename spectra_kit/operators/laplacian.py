@@ -331,9 +331,9 @@ class Laplacian(Rebuilt):
         )
 
 
-def check_dimension(value: int) -> None:
-    """Refuse what is neither a surface nor a volume."""
-    check_count("dimension", value, low=2, high=3)
+def check_dimension(value: int) -> int:
+    """Return 2 or 3; refuse what is neither a surface nor a volume."""
+    return check_count("dimension", value, low=2, high=3)
 
 
 def _check_apart(mass: sparse.csr_array, labels: Ints) -> None:

@@ -77,6 +77,8 @@ def test_consistent_masses_are_solved_for() -> None:
     reference = eigsh(stiffness, MODES, full.tocsc(), sigma=-1.0, return_eigenvectors=False)
     found = sk.eigensolve(tetrahedral_laplacian(mesh, mass="consistent"), MODES)
     assert found.eigenvalues[1:] == pytest.approx(np.sort(reference)[1:], rel=1e-10)
+    brought = sk.interop.from_arrays(found.eigenvalues, found.eigenvectors, full, dimension=3)
+    assert brought.rescale(7.0).orthonormality_error() < 1e-12
 
 
 def test_matrices_are_those_of_lapy_and_scikit_fem() -> None:
