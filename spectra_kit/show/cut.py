@@ -44,7 +44,7 @@ def cut_open(
     import pyvista as pv  # slow to import
 
     functions, towards = real_array("values", values), real_array("normal", normal)
-    if len(functions) != mesh.n or functions.ndim not in (1, 2):
+    if functions.ndim not in (1, 2) or len(functions) != mesh.n:
         raise InvalidInputError("values", f"have shape ({mesh.n}, c)", functions.shape)
     if towards.shape != (3,) or not towards.any():
         got = towards.shape if towards.any() else "zeros"
