@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from scipy import sparse
 
-from spectra_kit._core.threads import in_threads, shares
+from spectra_kit._core.threads import in_threads, shares, single_threaded_blas
 from spectra_kit._core.types import Floats
 from spectra_kit._sparse.elimination import Elimination, analysed, no_memory, symmetric
 from spectra_kit._sparse.products import real_dtype
@@ -76,20 +76,21 @@ class SparseLDL:
         self.elimination = known
         try:
             self._lower, self.pivots = np.empty(known.fill), np.empty(self.n)
-            bad = factorise(
-                known.starts,
-                known.columns,
-                np.require(entries, None, "W"),  # loops are compiled for what can be written to
-                known.order,
-                known.begins,
-                known.first,
-                known.rows,
-                known.above,
-                known.panels,
-                known.sizes,
-                self._lower,
-                self.pivots,
-            )
+            with single_threaded_blas():  # so that no bit depends on its threads
+                bad = factorise(
+                    known.starts,
+                    known.columns,
+                    np.require(entries, None, "W"),  # loops are compiled for what can be written to
+                    known.order,
+                    known.begins,
+                    known.first,
+                    known.rows,
+                    known.above,
+                    known.panels,
+                    known.sizes,
+                    self._lower,
+                    self.pivots,
+                )
         except MemoryError as error:
             raise no_memory(self.n) from error
         if bad >= 0:

@@ -9,6 +9,7 @@ import pytest
 from conftest import refused
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
+from threadpoolctl import threadpool_limits
 
 from spectra_kit import InvalidInputError, robust_laplacian
 from spectra_kit._sparse import Inertia, SparseLDL, products, spmm
@@ -149,3 +150,20 @@ def test_product_refuses_what_does_not_fit() -> None:
     refused("dense", "have shape (9,", spmm, A, np.ones(9))
     refused("dense", "be float32 or", spmm, A, np.ones((9, 2), dtype=int), dtype=np.float64)
     refused("dtype", "be float32 or", spmm, A, np.ones((9, 2)), dtype=np.float16)
+
+
+def test_no_bit_of_large_fronts_depends_on_threads_of_blas() -> None:
+    # On a grid of points in space fronts have hundreds of rows, which BLAS multiplies.
+    n, square = 18, grid(18)
+    across = sparse.kron(sparse.eye_array(n), square)
+    path = sparse.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(n, n))
+    along = sparse.kron(path, sparse.eye_array(n * n))
+    matrix = sparse.csr_array(across + along)
+    factors = []
+    for threads in (1, 2, 4):
+        with threadpool_limits(threads, user_api="blas"):
+            factors.append(SparseLDL(matrix))
+    assert all(np.array_equal(factors[0].pivots, other.pivots) for other in factors[1:])
+    assert all((factors[0].lower != other.lower).nnz == 0 for other in factors[1:])
+    rhs = np.random.default_rng(0).standard_normal(n**3)
+    assert matrix @ factors[0].solve(rhs) == pytest.approx(rhs, abs=1e-10)
