@@ -6,15 +6,19 @@ part; and its spectrum, scaled by the diagonal, is narrow.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import eigsh
+from scipy.sparse.linalg import ArpackNoConvergence, eigsh
 
 from spectra_kit._core.types import Floats
 from spectra_kit._sparse.products import spmm
+from spectra_kit.errors import InvalidInputError
 
 _STEPS = 200  # of linear elements 20 do
-_LEFT = 1e-20  # of the squares: what is left out then is rounding
+_LEFT = 1e-8  # of the squares: norms are told to four digits
+_RESTARTS = 100
 _FEW = 16  # points up to which LAPACK tells the least eigenvalue
 
 
@@ -46,11 +50,20 @@ def inverse_squares(mass: sparse.csr_array, R: Floats, least: float) -> Floats:
     return np.asarray(found + squares / least)
 
 
-def least_eigenvalue(mass: sparse.csr_array, lumped: Floats) -> float:
-    """Return the least eigenvalue of M relative to a diagonal, to a few digits."""
-    scale = sparse.diags_array(1 / np.sqrt(lumped))
-    scaled, n = scale @ mass @ scale, len(lumped)
+def least_eigenvalue(mass: sparse.csr_array) -> float:
+    """Return the least eigenvalue of M relative to its diagonal, to a few digits."""
+    scale = sparse.diags_array(1 / np.sqrt(mass.diagonal()))
+    scaled, n = scale @ mass @ scale, mass.shape[0]
     if n <= _FEW:
         return float(np.linalg.eigvalsh(scaled.toarray())[0])
     start = np.random.default_rng(0).standard_normal(n)
-    return float(eigsh(scaled, 1, which="SA", tol=1e-2, v0=start, return_eigenvectors=False)[0])
+    asked: dict[str, Any] = {"which": "SA", "tol": 1e-2, "v0": start, "maxiter": _RESTARTS}
+    try:
+        return float(eigsh(scaled, 1, ncv=min(n, 40), return_eigenvectors=False, **asked)[0])
+    except ArpackNoConvergence as error:
+        raise InvalidInputError(
+            "mass",
+            "be far from singular",
+            "a matrix whose least eigenvalue, relative to its diagonal, is not found in"
+            f" {_RESTARTS} restarts of Lanczos",
+        ) from error

@@ -183,7 +183,7 @@ class _Residuals:
         self._stiffness, self._mass = stiffness, mass
         self._least = 1.0
         if isinstance(mass, sparse.csr_array):
-            self._least = least_eigenvalue(mass, mass.diagonal())
+            self._least = least_eigenvalue(mass)
 
     def __call__(self, values: Floats, X: Floats) -> tuple[Singles, Floats]:
         if isinstance(self._mass, np.ndarray):

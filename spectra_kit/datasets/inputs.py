@@ -224,8 +224,11 @@ def _inputs_of(source: str) -> Iterator[Input]:
 
 def _matched(pattern: str) -> dict[Path, dict[str, str]]:
     """Return the files that a pattern matches, with its ``{fields}``."""
+    found = [Path(path) for path in glob.glob(_FIELD.sub("*", pattern), recursive=True)]
+    if not _FIELD.search(pattern):
+        return {path: {} for path in found}
     written, known = "", set[str]()
-    for i, piece in enumerate(_FIELD.split(pattern)):
+    for i, piece in enumerate(_FIELD.split(Path(pattern).as_posix())):
         if i % 2 == 0:  # between fields; which files there are, glob tells
             signs = re.split(r"(\*\*/|\*+|\?|\[[^]]*\])", piece)
             written += "".join(
@@ -235,9 +238,8 @@ def _matched(pattern: str) -> dict[Path, dict[str, str]]:
         else:
             written += f"(?P={piece})" if piece in known else f"(?P<{piece}>[^/]+?)"
             known.add(piece)
-    found = glob.glob(_FIELD.sub("*", pattern), recursive=True)
-    matches = (re.fullmatch(written, path) for path in found)
-    return {Path(one.string): one.groupdict() for one in matches if one}
+    matches = ((path, re.fullmatch(written, path.as_posix())) for path in found)
+    return {path: one.groupdict() for path, one in matches if one}
 
 
 def _inside(folder: Path, above: frozenset[tuple[int, int]] = frozenset()) -> Iterator[Path]:

@@ -269,7 +269,7 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
                 inertia = factor.inertia
                 backward = 0.0
                 if inertia.negative > j:
-                    backward = factor.backward_error(laplacian.mass) / laplacian._least_weight
+                    backward = factor.backward_error(laplacian._diagonal) / laplacian._least_weight
                 floors.append(shift - backward)
                 numbers.append(inertia.negative + inertia.zero)
                 refuted = inertia.negative > j and shift + backward < values[j]  # by no rounding

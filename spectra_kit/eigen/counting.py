@@ -257,8 +257,9 @@ class _Prover:
             if factor is None:
                 continue
             # And what rounds the diagonal of L - sigma M.
-            largest = np.abs(laplacian.stiffness.diagonal() / laplacian.mass).max()
-            error = factor.backward_error(laplacian.mass) + float(_EPS * (sigma + largest))
+            weight = laplacian._diagonal
+            largest = np.abs(laplacian.stiffness.diagonal() / weight).max()
+            error = factor.backward_error(weight) + float(_EPS * (sigma + largest))
             error /= laplacian._least_weight
             if sigma - error > lowest:
                 # What counts as zero may be negative: no more than both lie below.

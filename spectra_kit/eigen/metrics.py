@@ -334,7 +334,7 @@ def align_modes(
 
 @checked
 def align_to_template(
-    template: Spectrum, spectrum: Spectrum, point_map: ArrayLike, *, cluster_gap: float = 5e-2
+    template: Spectrum, spectrum: Spectrum, point_map: ArrayLike, *, cluster_gap: float = 1e-2
 ) -> Floats:
     """Modes of one surface of a cohort, paired, signed and rotated to look like a template's.
 
@@ -350,9 +350,9 @@ def align_to_template(
     point_map : array_like of int of shape (n2,)
         The template's point of each point, as `Match.point_map` with the template for its source;
         ``range(n2)`` where surfaces are registered to each other.
-    cluster_gap : float, default 5e-2
-        Modes of the template whose eigenvalues are nearer than that, relative to these, are turned
-        together.
+    cluster_gap : float, default 1e-2
+        Modes of the template are turned together where each is nearer to the next than that,
+        relative to their eigenvalues: what comes back is then a mixture, and no eigenvector.
 
     Returns
     -------

@@ -150,6 +150,7 @@ class _Run:
 
     def solved(self) -> Spectrum:
         """Solve, certify, and complete what is to be exact."""
+        _ = self.laplacian._least_weight  # refused where M is not positive definite
         try:
             pairs = self.components(self.k, self.solver)
         except NotConvergedError as error:

@@ -262,6 +262,12 @@ class Spectrum(Rebuilt):
             raise InvalidInputError(
                 "laplacian", f"live on the {self.n} points of this spectrum", laplacian.n
             )
+        if laplacian.dimension != self.dimension:
+            raise InvalidInputError(
+                "laplacian",
+                f"have the dimension {self.dimension} of this spectrum",
+                laplacian.dimension,
+            )
         if not np.allclose(laplacian.mass, self.mass, rtol=_FOREIGN_MASS, atol=0):
             times = laplacian.mass / self.mass
             raise InvalidInputError(

@@ -148,7 +148,7 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     pial, white   triangles of FreeSurfer, and all other names that it gives them
     gii           one point set with its triangles, by nibabel (extra ``brain``)
     msh           triangles, quads and polygons of Gmsh, by meshio (extra ``meshio``)
-    mesh, inp     as msh, of MEDIT and Abaqus
+    mesh          as msh, of MEDIT
     ============  ====================================================================
 
     Polygons become triangles around their first corner where that is right, and are cut by their
@@ -158,7 +158,7 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
 
     Whatever a file says twice is compared: counts with lengths, the checksums of npz, the columns
     of each line. What no format says twice cannot be: a digit of a coordinate outside npz, a text
-    file cut inside its very last number, one of OBJ, XYZ or Abaqus cut between two lines. glTF is
+    file cut inside its very last number, one of OBJ or XYZ cut between two lines. glTF is
     read without its skins and morph targets, and refused where it requires an extension, such as
     compression, that is not known here. Cells that fill a volume are passed over beside faces, and
     refused alone: the advice makes a surface of them.

@@ -74,10 +74,10 @@ def from_labels(
 
     Notes
     -----
-    Surface nets [1]_, one for the whole image, so that labels that touch share their border, are
-    smoothed by Taubin's filter [2]_, which keeps volumes. Where a label meets the border of the
-    image it is closed there. Edges are rounded by about a voxel. Of balls from 3 voxels in radius
-    on, areas are right within 3 %, from 6 on within 1 %, and what the surface encloses within 1 %.
+    Surface nets [1]_, one for the whole image, so that smooth labels that touch share their border,
+    are smoothed by Taubin's filter [2]_, which keeps volumes. Where a label meets the border of the
+    image it is closed there. Edges are rounded by about a voxel. Of balls of 6 voxels in radius and
+    more, areas are right within 1 % of those of balls of the same volume.
 
     References
     ----------

@@ -177,11 +177,10 @@ def refused(thing: Any, advice: str) -> InvalidInputError:
 
 
 def refused_volume(thing: Any, surface: str) -> InvalidInputError:
-    """Return what is to be raised of cells that fill a volume: `surface` makes one of them.
-
-    Here they could be handed on, where an operator of tetrahedra takes them.
-    """
-    return refused(thing, f"its surface is {surface}")
+    """Return what is to be raised of cells that fill a volume: `surface` makes one of them."""
+    return refused(
+        thing, f"its surface is {surface}; of tetrahedra, tetrahedral_laplacian makes an operator"
+    )
 
 
 def _joined(polygons: Sequence[Polygons]) -> Polygons:

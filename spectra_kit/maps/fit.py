@@ -317,7 +317,7 @@ def few_combinations(
     The sums do not change if the same rotation mixes the columns of both sides. Principal axes
     leave most columns of smooth descriptors (near) zero.
     """
-    gram = a.T @ (source.mass[:, None] * a) + b.T @ (target.mass[:, None] * b)
+    gram = a.T @ source._weighed(a) + b.T @ target._weighed(b)
     energy, axes = np.linalg.eigh(gram)
     axes = axes[:, energy > _DROPPED * energy[-1]]
     return a @ axes, b @ axes
@@ -326,7 +326,7 @@ def few_combinations(
 def multiplication_operators(spectrum: Spectrum, k: int, functions: Floats) -> Floats:
     """Return ``U^T M diag(f) U`` of the first `k` modes for each column f: (p, k, k)."""
     U = spectrum.eigenvectors[:, :k]
-    weighted = spectrum.mass[:, None] * U
+    weighted = spectrum._weighed(U)
     return np.stack([weighted.T @ (f[:, None] * U) for f in functions.T])
 
 

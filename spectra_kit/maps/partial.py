@@ -330,7 +330,7 @@ def covered_by(part: Prepared, whole: Prepared, bent: Contact) -> Bools:
 
 def _extended(a: Spectrum, b: Spectrum, point_map: Ints, covered: Bools, k: int) -> Floats:
     """Return the functional map of functions that are 0 where nothing is covered, (k, k)."""
-    rows = b.eigenvectors[covered, :k] * b.mass[covered, None]
+    rows = b._weighed(b.eigenvectors[:, :k])[covered]
     return np.asarray(rows.T @ a.eigenvectors[point_map[covered], :k])
 
 

@@ -89,7 +89,7 @@ def zoomout(
     a, b = checked_pair(source, target, k_final)
     check_count("step", step, low=1)
     C = starting_map(a, b, initial, k_start)
-    arrays = a.eigenvectors, b.eigenvectors, b.mass, C
+    arrays = a.eigenvectors, b.eigenvectors, b._weighed(b.eigenvectors), C
     rows = None if samples is None else checked_samples(samples, a.n, b.n, k_final, seed)
     if device == "cpu":
         return Correspondence(*_zoom(*arrays, rows, k_final, step))
@@ -98,17 +98,17 @@ def zoomout(
     from spectra_kit._sparse.torch_device import check_device
 
     place = check_device(device)
-    A, B, mass, start = (torch.tensor(np.array(x), device=place) for x in arrays)
+    A, B, weighted, start = (torch.tensor(np.array(x), device=place) for x in arrays)
     solve = partial(torch.linalg.solve_triangular, upper=True)
     find, qr = nearest_torch, torch.linalg.qr
-    found = _zoom(A, B, mass, start, rows, k_final, step, find, qr, solve)
+    found = _zoom(A, B, weighted, start, rows, k_final, step, find, qr, solve)
     return Correspondence(*(x.cpu().numpy() for x in found))
 
 
 def _zoom(
     A: Any,
     B: Any,
-    mass: Any,
+    weighted: Any,
     C: Any,
     samples: tuple[Ints, Ints] | None,
     k_final: int,
@@ -118,7 +118,6 @@ def _zoom(
     solve: Callable[..., Any] = solve_triangular,
 ) -> tuple[Any, Any]:
     """Return point map and functional map, from arrays or, with other tools, from tensors."""
-    weighted = mass[:, None] * B
 
     def project(values: Any, k: int) -> Any:
         return weighted[:, :k].T @ values

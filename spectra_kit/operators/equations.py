@@ -170,7 +170,7 @@ def schroedinger(laplacian: Laplacian, potential: ArrayLike) -> Laplacian:
     Returns
     -------
     Laplacian
-        ``L + M V``, for all solvers.
+        ``L + V^1/2 M V^1/2``, for all solvers.
 
     Examples
     --------
@@ -195,5 +195,10 @@ def schroedinger(laplacian: Laplacian, potential: ArrayLike) -> Laplacian:
             f"down to {values.min():.3g}",
             advice="pass potential - potential.min(): eigenvalues rise by as much, and modes stay",
         )
-    lifted = laplacian.stiffness + sparse.diags_array(laplacian.mass * values)
+    root = np.sqrt(np.broadcast_to(values, laplacian.n))
+    if laplacian.consistent_mass is None:
+        energy = sparse.diags_array(laplacian.mass * values)
+    else:  # symmetric, as positive as M, and V M where V is one number
+        energy = sparse.diags_array(root) @ laplacian.consistent_mass @ sparse.diags_array(root)
+    lifted = laplacian.stiffness + energy
     return replace(laplacian, stiffness=lifted, operator=f"schroedinger({laplacian.operator})")

@@ -94,6 +94,10 @@ class Laplacian(Rebuilt):
         given, consistent = split_mass("mass", self.mass, n)
         if self.consistent_mass is not None:
             consistent = split_mass("consistent_mass", self.consistent_mass, n)[1]
+            if consistent is None:
+                expected = "be a matrix with entries beside its diagonal"
+                advice = "pass a diagonal as `mass`"
+                raise InvalidInputError("consistent_mass", expected, advice=advice)
         mass = check_mass("mass", given, n)
         fixed = np.unique(as_indices("fixed", self.fixed, len(points)))
         if len(fixed) == len(points):
@@ -162,6 +166,12 @@ class Laplacian(Rebuilt):
         """M as solvers take it: its diagonal, or all of it."""
         return self.mass if self.consistent_mass is None else self.consistent_mass
 
+    @property
+    def _diagonal(self) -> Floats:
+        """The diagonal of M."""
+        M = self.consistent_mass
+        return self.mass if M is None else np.asarray(M.diagonal())
+
     def _weighed(self, f: Floats) -> Floats:
         """``M f`` of one function, (n,), or several, (n, c)."""
         columns = f if f.ndim == 2 else f[:, None]
@@ -175,20 +185,18 @@ class Laplacian(Rebuilt):
 
     @cached
     def _least_weight(self) -> float:
-        """Below the least eigenvalue of M relative to the lumped one: 1 where that is all of it."""
+        """Below the least eigenvalue of M relative to its diagonal: 1 where that is all of it."""
         if self.consistent_mass is None:
             return 1.0
         from spectra_kit._sparse.inverse_norms import least_eigenvalue
 
         M = self.consistent_mass
-        least = least_eigenvalue(
-            _block(M, self.free) if len(self.fixed) else M, self.mass[self.free]
-        )
+        least = least_eigenvalue(_block(M, self.free) if len(self.fixed) else M)
         if least <= 0:
             raise InvalidInputError(
                 "mass",
                 "be positive definite",
-                f"a matrix whose least eigenvalue, relative to its lumped part, is {least:.2g}",
+                f"a matrix whose least eigenvalue, relative to its diagonal, is {least:.2g}",
                 advice="pass its row sums, if these are positive: a lumped mass",
             )
         return least / 2  # it is found to a few digits
@@ -196,7 +204,7 @@ class Laplacian(Rebuilt):
     @cached
     def _rounding(self) -> float:
         """Bound on rounding in ``M^-1/2 L M^-1/2 u``, and what one triangle hides of asymmetry."""
-        L, scale = self.stiffness, 1 / np.sqrt(self.mass * self._least_weight)
+        L, scale = self.stiffness, 1 / np.sqrt(self._diagonal * self._least_weight)
         magnitude = scale * (abs(L) @ scale)
         asymmetry = scale * (abs(L - L.T.tocsr()) @ scale)
         longest = int(np.diff(L.indptr).max())
@@ -230,10 +238,11 @@ class Laplacian(Rebuilt):
     def component_labels(self) -> Ints:
         """Connected component of each point, shape (n,), from 0; -1 for fixed points."""
         labels = np.full(self.n, -1, dtype=np.int64)
-        graph = self.stiffness[self.free][:, self.free] if len(self.fixed) else self.stiffness
+        graph = self.stiffness
+        if self.consistent_mass is not None:  # which may join what no edge of weight does
+            graph = abs(graph) + abs(self.consistent_mass)
+        graph = graph[self.free][:, self.free] if len(self.fixed) else graph
         labels[self.free] = connected_components(graph, directed=False)[1]
-        if self.consistent_mass is not None:
-            _check_apart(self.consistent_mass, labels)
         return frozen(labels)
 
     @property
@@ -254,6 +263,8 @@ class Laplacian(Rebuilt):
         if len(self.fixed):
             beside = np.diff(self.stiffness[free][:, self.fixed].indptr) > 0
             found[labels[beside]] = False
+        if self.consistent_mass is not None and found.any():
+            _check_joined(self.stiffness[free][:, free], np.where(found[labels], labels, -1))
         return frozen(found)
 
     @property
@@ -336,16 +347,14 @@ def check_dimension(value: int) -> int:
     return check_count("dimension", value, low=2, high=3)
 
 
-def _check_apart(mass: sparse.csr_array, labels: Ints) -> None:
-    """Refuse a mass that joins components, each of which is solved by itself."""
-    entries = sparse.coo_array(mass)
-    one, other = labels[entries.row], labels[entries.col]
-    if (joined := (one >= 0) & (other >= 0) & (one != other)).any():
-        first = int(joined.argmax())
+def _check_joined(stiffness: sparse.csr_array, labels: Ints) -> None:
+    """Refuse a mass that joins parts on each of which constants have no energy."""
+    parts = connected_components(stiffness, directed=False)[1][labels >= 0]
+    if len(np.unique(parts)) > len(np.unique(labels[labels >= 0])):
         raise InvalidInputError(
             "mass",
             "join no points of parts that the stiffness leaves apart",
-            f"an entry at {entries.row[first]}, {entries.col[first]}",
+            "one that does, so that their zero modes are not counted",
             advice="are both matrices of the same mesh, in the same order?",
         )
 

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from conftest import bumpy, joined, refused, two_parts
+from conftest import bumpy, creature, joined, refused, two_parts
 from scipy import linalg, sparse
 
 import spectra_kit as sk
@@ -15,6 +15,7 @@ from spectra_kit.geometry import rectangle, sphere, torus
 EXACT = [sk.Arpack(), sk.Lanczos(), sk.Dense(), sk.Refined(rtol=1e-10)]
 
 
+@cache
 def dense_values(laplacian: sk.Laplacian, k: int) -> np.ndarray:
     free = laplacian.free
     L, M = (
@@ -184,11 +185,8 @@ def test_many_at_once_are_as_one_by_one() -> None:
 
 def test_what_is_refused() -> None:
     mesh = bumpy()
-    L, M = (
-        getattr(sk.cotan_laplacian(mesh, mass="consistent"), a)
-        for a in ("stiffness", "consistent_mass")
-    )
-    at = mesh.points
+    laplacian, at = sk.cotan_laplacian(mesh, mass="consistent"), mesh.points
+    L, M = laplacian.stiffness, laplacian.consistent_mass
     refused("mass", "be symmetric", sk.Laplacian, L, sparse.triu(M), at)
     refused("mass", "be positive definite", sk.Laplacian, L, -M, at)
     refused("mass", "have shape", sk.Laplacian, L, M[:5], at)
@@ -196,15 +194,54 @@ def test_what_is_refused() -> None:
     lifted[0, 5] = lifted[5, 0] = 10 * M.diagonal().max()
     refused("mass", "be positive definite", sk.eigensolve, sk.Laplacian(L, lifted.tocsr(), at), 4)
     refused("mass", "be lumped for 'knn'", sk.laplacian, mesh, operator="knn", mass="consistent")
-    refused(
-        "consistent_mass",
-        "be symmetric",
-        sk.Laplacian,
-        L,
-        M.diagonal(),
-        at,
-        consistent_mass=sparse.triu(M),
-    )
+    both = joined(mesh, mesh)
+    pair = sk.cotan_laplacian(both, mass="consistent")
+    across = sparse.lil_array(pair.consistent_mass)
+    across[0, mesh.n] = across[mesh.n, 0] = 0.1 * M.diagonal().min()
+    coupled = sk.Laplacian(pair.stiffness, across.tocsr(), both.points)
+    refused("mass", "join no points of parts", sk.eigensolve, coupled, 4)
+    bare = {"consistent_mass": sparse.diags_array(M.diagonal())}
+    refused("consistent_mass", "be a matrix", sk.Laplacian, L, M.diagonal(), at, **bare)
+    half = {"consistent_mass": sparse.triu(M)}
+    refused("consistent_mass", "be symmetric", sk.Laplacian, L, M.diagonal(), at, **half)
+
+
+def test_a_mass_may_join_what_the_stiffness_does_not() -> None:
+    """Across a diagonal of right angles there is no weight: two free corners meet there alone."""
+    side = 9
+    i, j = (a.ravel() for a in np.indices((side, side)))
+    first = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()[:, None]
+    faces = np.vstack([first + [0, side, 1], first + [1, side, side + 1]])
+    mesh = sk.TriangleMesh(np.column_stack([i, j, 0 * i]) / (side - 1), faces)
+    free = [40, 48]  # ends of a diagonal of the triangles
+    held = np.setdiff1d(np.arange(mesh.n), free)
+    laplacian = sk.cotan_laplacian(mesh, mass="consistent").dirichlet(held)
+    assert abs(laplacian.stiffness[*free]) < 1e-12 < laplacian.consistent_mass[*free]
+    s = sk.eigensolve(laplacian, 2)
+    assert s.eigenvalues == pytest.approx(dense_values(laplacian, 2), rel=1e-12)
+    assert s.certificate.level == "verified"
+
+
+def test_a_constant_potential_lifts_all_eigenvalues_by_as_much() -> None:
+    laplacian = made("delaunay")
+    lifted = sk.operators.schroedinger(laplacian, 3.0)
+    values = sk.eigensolve(lifted, 12).eigenvalues
+    assert values == pytest.approx(dense_values(laplacian, 12) + 3.0, abs=1e-9)
+
+
+def test_maps_project_by_the_whole_mass() -> None:
+    s = sk.eigensolve(sk.laplacian(creature(900), mass="consistent"), 40)
+    refined = sk.maps.zoomout(s, s, np.eye(12), k_final=40)
+    assert refined.functional_map == pytest.approx(np.eye(40), abs=1e-10)
+    assert (refined.point_map == np.arange(s.n)).all()
+
+
+def test_the_unit_of_each_point_does_not_matter() -> None:
+    laplacian, rng = made("delaunay"), np.random.default_rng(0)
+    unit = sparse.diags_array(10 ** rng.uniform(-3, 3, laplacian.n))
+    both = (unit @ m @ unit for m in (laplacian.stiffness, laplacian.consistent_mass))
+    found = sk.eigensolve(sk.Laplacian(*both, laplacian.points), 10, sk.Dense()).eigenvalues
+    assert found == pytest.approx(dense_values(laplacian, 10), abs=1e-6)
 
 
 def test_who_consumes_such_a_spectrum() -> None:

@@ -25,7 +25,6 @@ KINDS = {
     "msh": lambda path: by_meshio(path, file_format="gmsh"),
     "old.msh": lambda path: by_meshio(path, file_format="gmsh22", binary=False),
     "mesh": by_meshio,
-    "inp": by_meshio,
     "pcd": lambda path: path.write_bytes(
         pcd("binary") + np.c_[V, V].astype("<f4")[:, :4].tobytes()
     ),
@@ -135,8 +134,6 @@ DAMAGED = [
     ("mesh", swapped(b"Dimension 3", b"Dimension 2147483648"), "announces 2,147,483,648"),
     ("mesh", swapped(b"Triangles\n80", b"Triangles\n90"), "meshio cannot read it"),
     ("mesh", swapped(b"Vertices\n42", b"Vertices\n41"), "meshio cannot read it"),
-    ("inp", lambda data: data[: data.index(b"*ELEMENT")], "no cells; it may be cut short"),
-    ("inp", lambda data: data.rsplit(b",", 1)[0] + b",77\n", "meshio cannot read it"),
     ("pcd", half, "announces 42 points, 672 bytes, got"),
     ("pcd", lambda data: data + bytes(15) + b"\1", "rows that it does not count"),
     ("pcd", swapped(b"FIELDS x y z", b"FIELDS u v w"), "must have a whole PCD header"),

@@ -67,7 +67,6 @@ FILES = [
     ("text.msh", lambda path: by_meshio(path, file_format="gmsh", binary=False), 1e-12),
     ("old.msh", lambda path: by_meshio(path, file_format="gmsh22"), 0),
     ("a.mesh", by_meshio, 1e-12),
-    ("a.inp", by_meshio, 1e-12),
 ]
 
 
@@ -186,7 +185,7 @@ def test_strips_and_mixed_polygons(tmp_path):
     assert (len(mesh.faces), mesh.area) == (4, 2)
 
 
-@pytest.mark.parametrize("name", ["a.vtk", "a.vtu", "a.msh", "a.mesh", "a.inp"])
+@pytest.mark.parametrize("name", ["a.vtk", "a.vtu", "a.msh", "a.mesh"])
 def test_volumes_are_refused_and_say_how(tmp_path, name):
     path = tmp_path / name
     kind = {"file_format": "gmsh"} if name == "a.msh" else {}
@@ -195,7 +194,7 @@ def test_volumes_are_refused_and_say_how(tmp_path, name):
         read(path)
 
 
-@pytest.mark.parametrize("name", ["a.msh", "a.mesh", "a.inp"])
+@pytest.mark.parametrize("name", ["a.msh", "a.mesh"])
 def test_faces_of_a_volume_are_taken(tmp_path, name):
     path = tmp_path / name
     kind = {"file_format": "gmsh22"} if name == "a.msh" else {}

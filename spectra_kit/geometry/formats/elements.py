@@ -10,7 +10,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays
 from spectra_kit.geometry.formats.foreign import held_by, read_by
 
-MODULES = {".inp": "abaqus", ".mesh": "medit", ".msh": "gmsh"}
+MODULES = {".mesh": "medit", ".msh": "gmsh"}
 
 
 _COUNTS = re.compile(rb"^(?:\$?[A-Z][A-Za-z]+)\s+(\d+)(?:[ \t]+(\d+))?", re.MULTILINE)
@@ -22,7 +22,7 @@ def read(path: Path) -> Arrays:
     What a file announces is what meshio makes room for, and waits for, however short it is.
     """
     suffix = path.suffix.lower()
-    data = b"" if suffix == ".inp" else path.read_bytes()  # which announces nothing
+    data = path.read_bytes()
     announced = max((int(n[:18]) for found in _COUNTS.findall(data) for n in found if n), default=0)
     if announced > len(data):
         raise InvalidInputError(

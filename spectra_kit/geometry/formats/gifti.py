@@ -56,6 +56,10 @@ def save(path: Path, parts: Mapping[str, Any], fields: Mapping[str, Any] | None 
 
     def array(values: Any, intent: str, **meta: str) -> Any:
         kind = np.int32 if np.asarray(values).dtype.kind in "iu" else np.float32
+        if kind is np.int32 and np.abs(values).max(initial=0) > np.iinfo(kind).max:
+            raise InvalidInputError(
+                "values", "fit into the 32 bits of GIfTI", f"integers up to {np.abs(values).max()}"
+            )
         return gifti.GiftiDataArray(
             np.asarray(values, kind), intent=intent, meta=gifti.GiftiMetaData(meta)
         )
