@@ -19,8 +19,8 @@ from spectra_kit.errors import InvalidInputError
 
 DEMO = "demo"
 FORMATS = (
-    "obj, off, ply, stl, glb, gltf, vtk, vtp, vtu, gii, pial, white, inflated, sphere, smoothwm,"
-    " midthickness, graymid, msh, mesh, xyz, txt, csv, asc, pts, pcd, npy, npz"
+    "obj, off, ply, stl, glb, gltf, vtk, vtp, vtu, gii, pial and its kin, msh, mesh, xyz, txt, csv,"
+    " asc, pts, pcd, npy, npz"
 )
 PICTURES = (".png", ".pdf", ".svg")
 NETWORK = ("weights", "poses", "dtype", "device")  # what the network alone may be told

@@ -574,9 +574,11 @@ def _with_exact_constant(laplacian: Laplacian, pairs: Eigenpairs) -> Eigenpairs:
     # The first axis goes to the constant, the others span what else these modes span.
     axes = np.linalg.qr(cosines[near, None], mode="complete")[0]
     others = ritz_rotation(laplacian.stiffness, laplacian._weights, vectors[:, near] @ axes[:, 1:])
-    values[near] = np.append(-1.0, others[0])  # the constant comes first
+    raised, errors = others[0], pairs.errors
+    if errors is not None:  # of loose modes, quotients are further off than what told their values
+        raised = np.minimum(raised, np.sort(values[near])[1:])
+    values[near] = np.append(-1.0, raised)  # the constant comes first
     vectors[:, near] = np.column_stack([np.full(laplacian.n, constant), others[1]])
-    errors = pairs.errors
     if errors is not None:  # each of the others may be as far off as any that it is made of
         errors = np.array(errors)
         errors[near] = np.append(0.0, np.full(len(others[0]), errors[near].max()))
