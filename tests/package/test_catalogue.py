@@ -75,7 +75,9 @@ def test_descriptors_are_asked_for_by_one_list_of_names() -> None:
 
 
 def test_what_is_read_is_told_and_not_sent_elsewhere() -> None:
-    assert {f".{name}" for name in options.FORMATS.split(", ")} == set(io.READERS)
+    kin = set(io._SURFACES) - {".pial"}  # FreeSurfer has seven names for one format
+    named = options.FORMATS.replace(" and its kin", "").split(", ")
+    assert {f".{name}" for name in named} == set(io.READERS) - kin
     elsewhere = {suffix for told in (foreign._CALLS, foreign._WORDS) for suffix in each(told)}
     assert not elsewhere & set(io.READERS)
 
