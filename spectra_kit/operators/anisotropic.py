@@ -16,11 +16,10 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.seams import warn_of_seams
 from spectra_kit.geometry.shapes import TriangleMesh
 from spectra_kit.geometry.vectors import frames_of
-from spectra_kit.operators.checks import check_faces_usable, of_shape, units_of
+from spectra_kit.operators.checks import check_faces_usable, symmetric_tensors, units_of
 from spectra_kit.operators.curvature import curvature
 from spectra_kit.operators.laplacian import Laplacian
 
-_ASYMMETRY = 1e-8  # of the largest entry of a tensor
 _STILL = 1e-12  # share of the heat that flows, below which the operator is singular to rounding
 
 
@@ -93,9 +92,10 @@ def tensor_laplacian(mesh: TriangleMesh, tensors: ArrayLike) -> Laplacian:
     ----------
     mesh : TriangleMesh
         With n vertices and f faces. Faces have an area.
-    tensors : array_like of shape (f, 3, 3)
+    tensors : array_like of shape (f,) or (f, 3, 3)
         D in coordinates of space, without a unit, symmetric, and positive definite in the plane of
-        its face; what leads out of that does not count. The identity gives `cotan_laplacian`.
+        its face; what leads out of that does not count. The identity gives `cotan_laplacian`. A
+        number is the same in all directions.
 
     Returns
     -------
@@ -120,13 +120,7 @@ def tensor_laplacian(mesh: TriangleMesh, tensors: ArrayLike) -> Laplacian:
     clock = Clock()
     check_faces_usable(mesh)
     warn_of_seams(mesh)
-    D = of_shape("tensors", tensors, (len(mesh.faces), 3, 3))
-    largest = np.abs(D).max(axis=(1, 2))
-    skewed = np.abs(D - D.transpose(0, 2, 1)).max(axis=(1, 2)) > _ASYMMETRY * largest
-    if skewed.any():
-        raise InvalidInputError(
-            "tensors", "be symmetric", f"{quantity(skewed.sum(), 'tensor')} that is not"
-        )
+    D = symmetric_tensors("tensors", tensors, len(mesh.faces))
     frames, sides, doubled = _planes(mesh)
     flat = np.einsum("far,frs,fbs->fab", frames[:, :2], D, frames[:, :2])
     least = np.linalg.eigvalsh(flat)[:, 0]

@@ -21,6 +21,7 @@ from spectra_kit.operators.laplacian import Laplacian
 _SMALLEST, _LARGEST = 1e-130, 1e130  # extents, of which squares and products are numbers
 
 
+_ASYMMETRY = 1e-8  # of the largest entry of a tensor
 _FEW = 30  # neighbours on a plane: within three or four times their spacing
 _NEAR = 2  # times as far
 # Spread across to that along, of the points of a part no further from one than the next part: a
@@ -56,6 +57,20 @@ def of_shape(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
     if array.shape != shape:
         raise InvalidInputError(name, f"have shape {shape}", array.shape)
     return array
+
+
+def symmetric_tensors(name: str, values: ArrayLike, count: int) -> Floats:
+    """Return symmetric tensors (count, 3, 3), of which a number is the same in all directions."""
+    if np.ndim(values) == 1:
+        return of_shape(name, values, (count,))[:, None, None] * np.eye(3)
+    D = of_shape(name, values, (count, 3, 3))
+    largest = np.abs(D).max(axis=(1, 2))
+    skewed = np.abs(D - D.transpose(0, 2, 1)).max(axis=(1, 2)) > _ASYMMETRY * largest
+    if skewed.any():
+        raise InvalidInputError(
+            name, "be symmetric", f"{quantity(skewed.sum(), 'tensor')} that is not"
+        )
+    return D
 
 
 def check_faces_usable(mesh: TriangleMesh) -> None:

@@ -5,14 +5,17 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
+from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import quantity
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import box_unit
 from spectra_kit.geometry.tetrahedra import TetrahedralMesh, cross, scaled_sides
+from spectra_kit.operators.checks import symmetric_tensors
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.operators.triangle_calculus import linear_mass
 
@@ -22,9 +25,12 @@ _EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]).T
 
 @checked
 def tetrahedral_laplacian(
-    mesh: TetrahedralMesh, *, mass: Literal["lumped", "consistent"] = "lumped"
+    mesh: TetrahedralMesh,
+    *,
+    mass: Literal["lumped", "consistent"] = "lumped",
+    tensors: ArrayLike | None = None,
 ) -> Laplacian:
-    """Build the Laplacian of a volume by linear finite elements.
+    """Build the Laplacian of a volume by linear finite elements, or ``-div(D grad u)``.
 
     Parameters
     ----------
@@ -33,6 +39,9 @@ def tetrahedral_laplacian(
     mass : {"lumped", "consistent"}, default "lumped"
         A quarter of each cell to each of its corners, which approximates eigenvalues from below as
         a rule; or the integrals of products, with which they are bounds from above.
+    tensors : array_like of shape (m,) or (m, 3, 3), optional
+        D of each of m cells, positive definite, without a unit: how well it conducts, in all
+        directions alike or not. One by default.
 
     Returns
     -------
@@ -63,8 +72,14 @@ def tetrahedral_laplacian(
     clock = Clock()
     _check_usable(mesh)
     options = "" if mass == "lumped" else f", mass={mass!r}"
+    D = None
+    if tensors is not None:
+        D, options = symmetric_tensors("tensors", tensors, len(mesh.cells)), options + ", tensors"
+        if (least := np.linalg.eigvalsh(D).min()) <= 0:
+            got = f"a smallest eigenvalue of {least:.3g}"
+            raise InvalidInputError("tensors", "be positive definite", got)
     return Laplacian(
-        *matrices(mesh, mass),
+        *matrices(mesh, mass, D),
         mesh.points,
         operator=f"tetrahedral_laplacian(mesh{options})",
         seconds=clock.total,
@@ -72,13 +87,17 @@ def tetrahedral_laplacian(
     )
 
 
-def matrices(mesh: TetrahedralMesh, mass: str) -> tuple[sparse.csr_array, Any]:
+def matrices(
+    mesh: TetrahedralMesh, mass: str, tensors: Floats | None = None
+) -> tuple[sparse.csr_array, Any]:
     """Return the stiffness, and the mass: as a diagonal (n,), or as a matrix."""
     volumes, weights = mesh.cell_volumes, np.empty((len(mesh.cells), 6))
     for block, (a, b, c), exponents in scaled_sides(mesh):
         # Normals of the faces opposite the corners, twice as long as the faces are large.
         normals = np.stack([cross(c - a, b - a), cross(b, c), cross(c, a), cross(a, b)])
         first, second = normals[_EDGES]
+        if tensors is not None:
+            second = np.einsum("brs,esb->erb", tensors[block], second)
         sixfold = np.abs((a * normals[1]).sum(axis=0))
         products = (first * second).sum(axis=1) / (6 * sixfold)
         weights[block] = np.ldexp(products, exponents).T

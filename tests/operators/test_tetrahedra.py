@@ -283,3 +283,19 @@ def test_arrays_that_are_no_volume_are_refused() -> None:
     twice = TetrahedralMesh(CORNERS[:4], [[0, 1, 2, 3], [1, 0, 2, 3]])
     with pytest.raises(InvalidInputError, match="have faces of one cell alone, got none"):
         _ = twice.surface
+
+
+def test_a_tensor_of_cells_is_a_stretched_volume() -> None:
+    mesh = boxes(5)
+    stretched = TetrahedralMesh(mesh.points / np.sqrt([4.0, 1.0, 1.0]), mesh.cells)
+    plain = tetrahedral_laplacian(stretched, mass="consistent")
+    D = np.tile(np.diag([4.0, 1.0, 1.0]), (len(mesh.cells), 1, 1))
+    found = tetrahedral_laplacian(mesh, mass="consistent", tensors=D)
+    assert abs(found.stiffness / 2 - plain.stiffness).max() < 1e-12 * plain.stiffness.max()
+    assert abs(found.consistent_mass / 2 - plain.consistent_mass).max() < 1e-14
+    alike = tetrahedral_laplacian(mesh, tensors=np.full(len(mesh.cells), 3.0))
+    assert abs(alike.stiffness - 3 * tetrahedral_laplacian(mesh).stiffness).max() < 1e-12
+    for wrong, told in ((-D, "be positive definite"), (D[1:], "have shape")):
+        refused("tensors", told, tetrahedral_laplacian, mesh, tensors=wrong)
+    D[3, 0, 1] = 1.0
+    refused("tensors", "be symmetric, got 1 tensor", tetrahedral_laplacian, mesh, tensors=D)
