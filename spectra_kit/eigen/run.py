@@ -14,17 +14,24 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import sparse
 
-from spectra_kit._core.threads import blas_threads_for
 from spectra_kit._core.types import Ints
 from spectra_kit._core.validate import quantity
 from spectra_kit._core.version import VERSION
-from spectra_kit._sparse.host import less
 from spectra_kit._sparse.orthonormal import RankError
-from spectra_kit._sparse.ritz import ritz_rotation
 from spectra_kit.eigen.accuracy import (
     counted_errors,
     with_bounds,
     with_excess,
+)
+from spectra_kit.eigen.answers import (
+    NEGATIVE,
+    ascending,
+    component_indices,
+    modes_wanted,
+    none,
+    of_checked_form,
+    open_modes,
+    with_exact_constant,
 )
 from spectra_kit.eigen.automatic import Automatic
 from spectra_kit.eigen.base import Eigenpairs, Eigensolver, NotConvergedError
@@ -44,8 +51,6 @@ from spectra_kit.errors import (
 from spectra_kit.operators.laplacian import Laplacian
 
 _ORTHONORMAL = 1e-6  # a spectrum further from M-orthonormal is refused
-_NEGATIVE = 1e-6  # eigenvalues down to -this times the spacing are rounding, and become 0
-_CONSTANT = 1e-6  # modes that span the constant but for this share of it span it, up to rounding
 _ROUNDS = 8  # counts, with a search for what is missing between them; two are enough as a rule
 _BEST = 1e-13  # relative residuals not to ask for less than
 _ORDINARY = 30  # powers of two from one within which sizes and energies need no other unit
@@ -155,7 +160,7 @@ class _Run:
             pairs = self.components(self.k, self.solver)
         except NotConvergedError as error:
             partial = self.rescued()
-            n_converged = 0 if partial is None else partial.k - _open_modes(error, partial)
+            n_converged = 0 if partial is None else partial.k - open_modes(error, partial)
             raise ConvergenceError(
                 f"{self.name}: {error}", partial=partial, n_converged=n_converged, **error.advised
             ) from error
@@ -242,13 +247,13 @@ class _Run:
         """Solve each component, merge the k lowest pairs of all, eigenvectors padded with zeros."""
         laplacian = self.laplacian
         whole = laplacian.n_components == 1 and not len(laplacian.fixed)
-        parts = self.parts = [laplacian.free] if whole else _component_indices(laplacian)
+        parts = self.parts = [laplacian.free] if whole else component_indices(laplacian)
         areas = np.array([laplacian.mass[part].sum() for part in parts])
         # Columns of all parts may have few on one, and need the others.
         given = getattr(solver, "subspace", None) or getattr(solver, "start", None)
         most = [k]
         if not whole:
-            most = _modes_wanted(laplacian, parts, k, all_parts=given is not None).tolist()
+            most = modes_wanted(laplacian, parts, k, all_parts=given is not None).tolist()
         # Weyl: a component's share of the low modes is about its share of the area.
         wanted = [
             min(room, math.ceil(1.1 * k * share) + 6)
@@ -337,7 +342,7 @@ class _Run:
         """Call the backend on one component, check the form of its answer, and sort it."""
         start = time.perf_counter()
         if k == 0:
-            return _none(laplacian.n)
+            return none(laplacian.n)
         if laplacian.n == 1:  # an isolated point: nothing to solve
             M = laplacian.consistent_mass
             mass = laplacian.mass if M is None else M.diagonal()
@@ -349,25 +354,25 @@ class _Run:
             else:
                 pairs = Eigenpairs(*solver.eigenpairs(laplacian, k))
         except NotConvergedError as error:
-            self.count(error.pairs or _none(laplacian.n), time.perf_counter() - start)
+            self.count(error.pairs or none(laplacian.n), time.perf_counter() - start)
             raise
-        pairs = _of_checked_form(pairs, solver, (laplacian.n, k))
+        pairs = of_checked_form(pairs, solver, (laplacian.n, k))
         self.count(pairs, time.perf_counter() - start)
         lowest = pairs.eigenvalues.min()
-        if lowest < -_NEGATIVE * laplacian.eigenvalue_spacing and lowest < -laplacian._rounding:
+        if lowest < -NEGATIVE * laplacian.eigenvalue_spacing and lowest < -laplacian._rounding:
             raise InvalidSpectrumError(
                 f"{solver!r} returned a negative eigenvalue ({pairs.eigenvalues.min():.3e})",
                 advice="is the stiffness positive semi-definite? (Where entries spread over many"
                 " decades, so does rounding.)",
             )
-        return _sorted(_with_exact_constant(laplacian, _sorted(pairs)))
+        return ascending(with_exact_constant(laplacian, ascending(pairs)))
 
     def merged(self, k: int) -> Eigenpairs:
         """Return the k lowest pairs (or all there are) of the components solved, on all points."""
         n, found = self.laplacian.n, sorted(self.found)  # of equal modes, those of the first
         pairs, parts = [self.found[i] for i in found], [self.parts[i] for i in found]
         if not pairs:
-            return _none(n)
+            return none(n)
         values = np.concatenate([p.eigenvalues for p in pairs])
         owner = np.repeat(np.arange(len(pairs)), [len(p.eigenvalues) for p in pairs])
         column = np.concatenate([np.arange(len(p.eigenvalues)) for p in pairs])
@@ -396,7 +401,7 @@ class _Run:
     def certified(self, pairs: Eigenpairs) -> tuple[Spectrum, Certificate]:
         """Check `pairs`, and return what is known of them."""
         begin, laplacian = time.perf_counter(), self.laplacian
-        pairs = _sorted(pairs)
+        pairs = ascending(pairs)
         spectrum = Spectrum(
             pairs.eigenvalues,
             pairs.eigenvectors,
@@ -472,117 +477,8 @@ def promise_of(solver: Eigensolver) -> str:
     return str(getattr(solver, "promise", ""))
 
 
-def _none(n: int) -> Eigenpairs:
-    return Eigenpairs(np.empty(0), np.empty((n, 0)), errors=np.empty(0))
-
-
 def _name_of(solver: Eigensolver) -> str:
     return str(getattr(solver, "name", type(solver).__name__.lower()))
-
-
-def _of_checked_form(pairs: Eigenpairs, solver: Eigensolver, shape: tuple[int, int]) -> Eigenpairs:
-    """Return the pairs as arrays; refuse what has another shape or no real numbers."""
-    n, k = shape
-    values, vectors = np.asarray(pairs.eigenvalues), np.asarray(pairs.eigenvectors)
-    if values.shape != (k,) or vectors.shape != shape:
-        raise InvalidSpectrumError(
-            f"{solver!r} must return shapes ({k},) and ({n}, {k}),"
-            f" got {values.shape} and {vectors.shape}"
-        )
-    if pairs.errors is not None and np.shape(pairs.errors) != (k,):
-        raise InvalidSpectrumError(
-            f"{solver!r} must return errors of shape ({k},), got {np.shape(pairs.errors)}"
-        )
-    if values.dtype.kind not in "fiu" or vectors.dtype.kind not in "fiu":
-        raise InvalidSpectrumError(
-            f"{solver!r} must return real numbers, got {values.dtype} and {vectors.dtype}"
-        )
-    return pairs._replace(eigenvalues=values, eigenvectors=vectors)
-
-
-def _sorted(pairs: Eigenpairs) -> Eigenpairs:
-    """Return the pairs ascending and none negative, eigenvectors without a copy where they are."""
-    values, vectors, errors = pairs.eigenvalues, pairs.eigenvectors, pairs.errors
-    order = np.argsort(values, kind="stable")
-    if not np.array_equal(order, np.arange(len(order))):
-        vectors = vectors[:, order]
-    return pairs._replace(
-        eigenvalues=np.maximum(values[order], 0.0),
-        eigenvectors=vectors,
-        errors=None if errors is None else np.asarray(errors)[order],
-    )
-
-
-def _modes_wanted(laplacian: Laplacian, parts: list[Ints], k: int, *, all_parts: bool) -> Ints:
-    """Return how many modes of each component may be among the k lowest of all, at most.
-
-    Where constants alone are as many, they are the lowest, one of each component; the first ones
-    are taken, as of all that are equal. Otherwise, unless `all_parts` are to be solved, the
-    eigenvalues of small ones tell which of them have nothing below the k-th lowest that is known.
-    """
-    constant = laplacian.constant_components
-    if constant.sum() >= k:
-        return np.where(constant & (constant.cumsum() <= k), 1, 0)
-    most = np.array([min(len(part), k) for part in parts])
-    if all_parts or len(parts) == 1:
-        return most
-    known = [np.zeros(constant.sum())]  # from below
-    others = np.zeros(len(parts))  # the lowest that is not the constant's, less a margin
-    for alike in small_components(laplacian, parts):
-        values, i = alike.eigenvalues(), alike.which
-        values[constant[i], 0] = np.inf  # is among those known
-        off = _NEGATIVE * alike.norms
-        known.append((values + off[:, None]).ravel())
-        others[i] = values.min(axis=1) - off
-    lowest = np.sort(np.concatenate(known))
-    if len(lowest) >= k:
-        above = others > lowest[k - 1]
-        most[above] = constant[above]
-    return most
-
-
-def _component_indices(laplacian: Laplacian) -> list[Ints]:
-    """Return the free points of each component, ascending."""
-    labels = laplacian.component_labels
-    order = np.argsort(labels, kind="stable")[len(laplacian.fixed) :]
-    return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
-
-
-def _open_modes(error: NotConvergedError, partial: Spectrum) -> int:
-    """How many of the modes rescued are among those that had not converged."""
-    if error.pairs is None or error.converged is None:
-        return 0
-    values = np.asarray(error.pairs.eigenvalues)[~error.converged]
-    return int((values <= partial.eigenvalues[-1]).sum())
-
-
-def _with_exact_constant(laplacian: Laplacian, pairs: Eigenpairs) -> Eigenpairs:
-    """Take the rounding out of the zero mode of a connected Neumann operator.
-
-    Its error is relative to the largest eigenvalue, which beside a much larger component would
-    make it look like a mode of its own. Where further eigenvalues are as good as zero, rounding
-    mixes their modes with the constant: these are turned until one of them is the constant, the
-    others solved for once more.
-    """
-    constant = 1 / np.sqrt(laplacian.area)
-    with blas_threads_for(pairs.eigenvectors.size):
-        cosines = constant * (laplacian._row_sums @ pairs.eigenvectors)
-    if not laplacian.kernel_dimension or not abs(cosines @ cosines - 1) <= _CONSTANT:
-        return pairs
-    near = np.abs(cosines) >= min(_CONSTANT, np.abs(cosines).max())
-    values, vectors = pairs.eigenvalues.copy(), less(pairs.eigenvectors, constant * cosines)
-    # The first axis goes to the constant, the others span what else these modes span.
-    axes = np.linalg.qr(cosines[near, None], mode="complete")[0]
-    others = ritz_rotation(laplacian.stiffness, laplacian._weights, vectors[:, near] @ axes[:, 1:])
-    raised, errors = others[0], pairs.errors
-    if errors is not None:  # of loose modes, quotients are further off than what told their values
-        raised = np.minimum(raised, np.sort(values[near])[1:])
-    values[near] = np.append(-1.0, raised)  # the constant comes first
-    vectors[:, near] = np.column_stack([np.full(laplacian.n, constant), others[1]])
-    if errors is not None:  # each of the others may be as far off as any that it is made of
-        errors = np.array(errors)
-        errors[near] = np.append(0.0, np.full(len(others[0]), errors[near].max()))
-    return pairs._replace(eigenvalues=values, eigenvectors=vectors, errors=errors)
 
 
 def _fingerprint(laplacian: Laplacian) -> str:
