@@ -16,6 +16,7 @@ from spectra_kit.operators.laplacian import Laplacian
 
 #: Eigenvalues down to -this times the spacing are rounding, and become 0.
 NEGATIVE = 1e-6
+_ALONE = 0.99  # of the constant in one mode: the others hardly turn when it comes out
 _CONSTANT = 1e-6  # modes that span the constant but for this share of it span it, up to rounding
 
 
@@ -119,7 +120,8 @@ def with_exact_constant(laplacian: Laplacian, pairs: Eigenpairs) -> Eigenpairs:
     axes = np.linalg.qr(cosines[near, None], mode="complete")[0]
     others = ritz_rotation(laplacian.stiffness, laplacian._weights, vectors[:, near] @ axes[:, 1:])
     raised, errors = others[0], pairs.errors
-    if errors is not None:  # of loose modes, quotients are further off than what told their values
+    # Of loose modes, quotients are further off than what told their values.
+    if errors is not None and cosines[near][0] ** 2 > _ALONE:
         raised = np.minimum(raised, np.sort(values[near])[1:])
     values[near] = np.append(-1.0, raised)  # the constant comes first
     vectors[:, near] = np.column_stack([np.full(laplacian.n, constant), others[1]])

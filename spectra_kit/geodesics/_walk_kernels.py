@@ -8,12 +8,16 @@ barycentric coordinates in these of their ends.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba.extending import register_jitable
 
 from spectra_kit._core.compiled import compiled
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit.geodesics._exact_kernels import Front, Soup
+
+if TYPE_CHECKING:  # a compiled file stands on its own
+    from spectra_kit.geodesics._exact_kernels import Front, Soup
 
 # Of the longest side of a face: a line this near to a corner meets it. What that adds to a path is
 # of second order.

@@ -222,6 +222,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("TangentFrames.vectors.coordinates", np.ones(2 * n)),
         ("signed_distance.curves", [0, 1, 2]),
         ("tensors", np.tile(np.eye(3), (len(mesh.faces), 1, 1))),
+        ("Laplacian.consistent_mass", sk.laplacian(mesh, mass="consistent").consistent_mass),
         ("tetrahedral_laplacian.tensors", np.eye(3)[None]),
         ("vectors", np.ones((n, 3))),
         ("IntrinsicTriangulation.divergence.vectors", np.ones((len(triangulation.corners), 2))),
