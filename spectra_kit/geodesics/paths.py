@@ -21,7 +21,7 @@ from spectra_kit.operators.checks import of_shape
 @checked
 @dataclass(frozen=True, eq=False, repr=False)
 class SurfacePath(Rebuilt):
-    """A polyline on the faces of a mesh.
+    """A polyline on the faces of a mesh, or over a cloud.
 
     Attributes
     ----------
@@ -29,8 +29,9 @@ class SurfacePath(Rebuilt):
         Where it begins, crosses edges, bends, and ends; in the unit of the mesh.
     faces : ndarray of shape (p,)
         A face that holds each point and the segment that begins there; for the last, that before.
+        Empty over a cloud.
     barycentric : ndarray of shape (p, 3)
-        Weights of the corners of that face at the point.
+        Weights of the corners of that face at the point; of a cloud (0, 3).
 
     Examples
     --------
@@ -49,9 +50,9 @@ class SurfacePath(Rebuilt):
     def __post_init__(self) -> None:
         points = check_points("points", self.points)
         faces = check_indices("faces", self.faces, np.iinfo(np.int64).max)
-        if faces.shape != (len(points),):
-            raise InvalidInputError("faces", f"have shape ({len(points)},)", faces.shape)
-        weights = of_shape("barycentric", self.barycentric, (len(points), 3))
+        if faces.shape not in ((len(points),), (0,)):
+            raise InvalidInputError("faces", f"have shape ({len(points)},) or (0,)", faces.shape)
+        weights = of_shape("barycentric", self.barycentric, (len(faces), 3))
         for name, array in (("points", points), ("faces", faces), ("barycentric", weights)):
             object.__setattr__(self, name, frozen(np.array(array)))
 

@@ -1,4 +1,4 @@
-"""Exponential and logarithmic map of a mesh: `trace_geodesic` and `logarithmic_map`."""
+"""Exponential and logarithmic map of a surface: `trace_geodesic` and `logarithmic_map`."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count, check_positive
 from spectra_kit._core.warn import warn
 from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
+from spectra_kit.geodesics.cloud_trace import tangent_length, traced_on_cloud
 from spectra_kit.geodesics.exact import propagated, soup_of
 from spectra_kit.geodesics.paths import SurfacePath, path_of
 from spectra_kit.geodesics.sources import FacePoint, points_named
@@ -82,7 +83,7 @@ class LogarithmicMap(Rebuilt):
 
 @checked
 def trace_geodesic(
-    mesh: TriangleMesh,
+    geometry: Geometry,
     source: int | FacePoint,
     direction: ArrayLike,
     *,
@@ -91,14 +92,14 @@ def trace_geodesic(
     """Follow the straightest path from a point in a direction: the exponential map.
 
     Polthier and Schmies, *Straightest geodesics on polyhedral surfaces*, Mathematical
-    Visualization, 1998.
+    Visualization, 1998; on clouds over quadrics fitted to the points around, as by `curvature`.
 
     Parameters
     ----------
-    mesh : TriangleMesh
+    geometry : TriangleMesh or PointCloud
         Of any winding.
     source : int or FacePoint
-        Where it begins.
+        Where it begins; a point of a cloud.
     direction : array_like of shape (3,)
         In space; what of it is tangent counts. At a vertex, angles are stretched to fill a turn,
         which is turned to where edges fit best, as in `logarithmic_map`.
@@ -108,13 +109,16 @@ def trace_geodesic(
     Returns
     -------
     SurfacePath
-        Straight across edges; at a vertex it leaves as much angle on its left as on its right.
+        Straight across edges; at a vertex it leaves as much angle on its left as on its right. On
+        a cloud its steps are a quarter of the spacing of the points: where it ends is off by about
+        the square of that spacing.
 
     Warns
     -----
     DoubtfulDistanceWarning
         If it is shorter than `length`, as it meets the boundary, or an edge or vertex where more
-        than two sheets meet, so that straight on has no meaning.
+        than two sheets meet, so that straight on has no meaning; of a cloud, the boundary to half
+        a spacing, or where triangles do not agree on the side that is out.
 
     Examples
     --------
@@ -123,41 +127,27 @@ def trace_geodesic(
     >>> import numpy as np
     >>> import spectra_kit as sk
     >>> ball = sk.geometry.sphere(subdivisions=4).geometry
-    >>> path = sk.geodesics.trace_geodesic(ball, 0, [0, 0, 1], length=2 * np.pi)
-    >>> bool(np.linalg.norm(path.points[-1] - ball.points[0]) < 0.05)
+    >>> for one in (ball, ball.as_cloud()):
+    ...     path = sk.geodesics.trace_geodesic(one, 0, [0, 0, 1], length=2 * np.pi)
+    ...     print(bool(np.linalg.norm(path.points[-1] - ball.points[0]) < 0.05))
+    True
     True
     """
     if length is not None:
         check_positive("length", length)
     towards = of_shape("direction", direction, (3,))
-    split = split_at(mesh, points_named("source", source, mesh))
-    v, (soup, unit) = split.vertices[0], soup_of(split.mesh)
-    fan = fan_of(soup, v, "source")
-    axes = _axes(split.mesh, fan)
-    x, y = axes @ towards
-    tangent = float(np.hypot(x, y))
-    if not tangent > _ROUNDING * np.linalg.norm(towards):
-        raise InvalidInputError(
-            "direction",
-            "have a part in the tangent plane",
-            f"{towards.tolist()}, along the normal" if towards.any() else "the zero vector",
-        )
-    turn = float(np.arctan2(y, x)) % (2 * np.pi)
-    angle = turn / fan.scale if turn < 2 * np.pi - _ALONG else 0.0
-    if angle > fan.total + _ALONG:  # which closed fans have not
-        raise InvalidInputError(
-            "direction", "lead onto the surface from the boundary", f"{towards.tolist()}"
-        )
-    wanted = tangent if length is None else float(length)
-    faces, ends, missing = _traced(soup, fan, angle, wanted / unit[v])
+    if isinstance(geometry, TriangleMesh):
+        path, wanted, missing = _traced_on_mesh(geometry, source, towards, length)
+    else:
+        path, wanted, missing = traced_on_cloud(geometry, source, towards, length)
     if missing > 0:
         warn(
-            f"the path from {source} ends after {wanted - missing * unit[v]:.6g} of {wanted:.6g},"
-            " at the boundary or where more than two sheets meet",
+            f"the path from {source} ends after {wanted - missing:.6g} of {wanted:.6g}, at the"
+            " boundary, or where sheets meet or sides clash",
             DoubtfulDistanceWarning,
             advice="take the path as it is, or another direction",
         )
-    return path_of(split, faces, ends, v)
+    return path
 
 
 @checked
@@ -274,6 +264,26 @@ def _axes(mesh: TriangleMesh, fan: Fan) -> Floats:
     turn = np.exp(1j * (np.angle(seen) - angles)).sum()
     turn /= abs(turn)
     return np.asarray([[turn.real, turn.imag], [-turn.imag, turn.real]] @ axes)
+
+
+def _traced_on_mesh(
+    mesh: TriangleMesh, source: int | FacePoint, towards: Floats, length: float | None
+) -> tuple[SurfacePath, float, float]:
+    """Return the straightest path from a point, how long it was to be, and what is missing."""
+    split = split_at(mesh, points_named("source", source, mesh))
+    v, (soup, unit) = split.vertices[0], soup_of(split.mesh)
+    fan = fan_of(soup, v, "source")
+    along = _axes(split.mesh, fan) @ towards
+    tangent = tangent_length(towards, along)
+    turn = float(np.arctan2(*along[::-1])) % (2 * np.pi)
+    angle = turn / fan.scale if turn < 2 * np.pi - _ALONG else 0.0
+    if angle > fan.total + _ALONG:  # which closed fans have not
+        raise InvalidInputError(
+            "direction", "lead onto the surface from the boundary", f"{towards.tolist()}"
+        )
+    wanted = tangent if length is None else float(length)
+    faces, ends, missing = _traced(soup, fan, angle, wanted / unit[v])
+    return path_of(split, faces, ends, v), wanted, float(missing * unit[v])
 
 
 def _traced(soup: Soup, fan: Fan, angle: float, length: float) -> tuple[Ints, Floats, float]:

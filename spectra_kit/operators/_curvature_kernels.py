@@ -1,4 +1,4 @@
-"""Neighbours, tangent planes and fitted quadrics at the points of a triangulation; numba."""
+"""Neighbours, tangent planes and quadrics fitted at the points of a surface, or near; numba."""
 
 from __future__ import annotations
 
@@ -113,9 +113,7 @@ def fit_quadrics(
     """
     n = len(points)
     seen, queue, mark = np.zeros(n, np.int32), np.empty(n, np.int32), 0
-    u, v = np.empty(3), np.empty(3)
-    # Least squares in the basis p of quadrics: the lower triangle of A x = b.
-    A, b, p = np.empty((6, 6)), np.empty(6), np.ones(6)
+    u, v, A, b = np.empty(3), np.empty(3), np.empty((6, 6)), np.empty(6)
     for i in range(first, last):
         if failures[i]:
             continue
@@ -123,49 +121,133 @@ def fit_quadrics(
         _frame(normal, u, v)
         for growth in range(_GROWTHS if growing else 1):
             scale = scales[i] * _GROWTH**growth
-            inverse = 1 / scale
             mark += 1
-            seen[i], queue[0], size, head = mark, i, 1, 0
-            A[:], b[:] = 0.0, 0.0
-            A[0, 0] = 1.0  # of the point itself
-            while head < size:
-                w = queue[head]
-                head += 1
-                if w != i and not passed[w]:
-                    continue
-                for place in range(2 * starts[w], 2 * starts[w] + sizes[w]):
-                    other = rings[place]
-                    if seen[other] == mark:
-                        continue
-                    seen[other] = mark
-                    dx = (points[other, 0] - points[i, 0]) * inverse
-                    dy = (points[other, 1] - points[i, 1]) * inverse
-                    dz = (points[other, 2] - points[i, 2]) * inverse
-                    square = dx * dx + dy * dy + dz * dz
-                    if square >= 1:
-                        continue
-                    across = 0.0
-                    for r in range(3):
-                        across += normals[other, r] * normal[r]
-                    if across <= _TURNED and passed[other]:
-                        continue
-                    queue[size] = other
-                    size += 1
-                    x = dx * u[0] + dy * u[1] + dz * u[2]
-                    y = dx * v[0] + dy * v[1] + dz * v[2]
-                    z = dx * normal[0] + dy * normal[1] + dz * normal[2]
-                    weight = (1 - square) ** 2  # fades: a fit changes with the scale without jumps
-                    p[1], p[2], p[3], p[4], p[5] = x, y, x * x / 2, x * y, y * y / 2
-                    for j in range(6):
-                        share = weight * p[j]
-                        b[j] += share * z
-                        for k in range(j + 1):
-                            A[j, k] += share * p[k]
+            size = _gather(
+                points, normals, starts, rings, sizes, passed, i, points[i], u, v, normal,
+                scale, seen, mark, queue, A, b,
+            )  # fmt: skip
             failures[i] = 0 if size > _NEIGHBOURS and _solve(A, b) else FEW
             if failures[i] == 0:
                 scales[i] = scale
                 _bend(b, scale, u, v, normal, principal[i], directions[i], fitted[i])
                 break
+
+
+@compiled()
+def land(
+    points: Floats,
+    normals: Floats,
+    starts: Ints32,
+    rings: Ints32,
+    sizes: Ints32,
+    passed: Bools,
+    near: int,
+    place: Floats,
+    normal: Floats,
+    towards: Floats,
+    scale: float,
+) -> tuple[int, float]:
+    """Put a place on the quadric of the points around it, along a normal, and turn what it holds.
+
+    `near` is a point beside it; the scale grows where neighbours are too few. In place: `place`
+    lands, `normal` becomes the one there, and `towards`, a tangent vector, is carried along. Return
+    the nearest point, or -1 if there are never enough; and how much the quadric bends to the side
+    of the normal along `towards`, if that is a unit vector.
+    """
+    n = len(points)
+    seen, queue = np.zeros(n, np.int32), np.empty(n, np.int32)
+    u, v, A, b = np.empty(3), np.empty(3), np.empty((6, 6)), np.empty(6)
+    _frame(normal, u, v)
+    for growth in range(_GROWTHS):
+        size = _gather(
+            points, normals, starts, rings, sizes, passed, near, place, u, v, normal,
+            scale, seen, growth + 1, queue, A, b,
+        )  # fmt: skip
+        if size > _NEIGHBOURS and _solve(A, b):
+            break
+        scale *= _GROWTH
+    else:
+        return -1, 0.0
+    l = math.sqrt(1 + b[1] ** 2 + b[2] ** 2)
+    after, leans, across, x, y = np.empty(3), 0.0, 0.0, 0.0, 0.0
+    for r in range(3):
+        place[r] += scale * b[0] * normal[r]
+        after[r] = (normal[r] - b[1] * u[r] - b[2] * v[r]) / l
+        leans, across = leans + after[r] * normal[r], across + after[r] * towards[r]
+    for r in range(3):  # by the least rotation that takes one normal to the other
+        towards[r] -= across / (1 + leans) * (normal[r] + after[r])
+        normal[r] = after[r]
+        x, y = x + towards[r] * u[r], y + towards[r] * v[r]
+    nearest, least = near, np.inf
+    for j in range(size):
+        square = 0.0
+        for r in range(3):
+            square += (points[queue[j], r] - place[r]) ** 2
+        if square < least:
+            nearest, least = queue[j], square
+    return nearest, (b[3] * x * x + 2 * b[4] * x * y + b[5] * y * y) / (l * scale)
+
+
+@register_jitable
+def _gather(
+    points: Floats,
+    normals: Floats,
+    starts: Ints32,
+    rings: Ints32,
+    sizes: Ints32,
+    passed: Bools,
+    near: int,
+    place: Floats,
+    u: Floats,
+    v: Floats,
+    normal: Floats,
+    scale: float,
+    seen: Ints32,
+    mark: int,
+    queue: Ints32,
+    A: Floats,
+    b: Floats,
+) -> int:
+    """Sum up least squares ``A c = b``, its lower triangle, of a quadric around a place.
+
+    The points are those that a walk from `near` comes to; they are put into `queue`, and their
+    number is returned.
+    """
+    inverse, p = 1 / scale, np.ones(6)
+    seen[near], queue[0], size, head = mark, near, 1, 0
+    A[:], b[:] = 0.0, 0.0
+    while head < size:
+        w = queue[head]
+        head += 1
+        dx = (points[w, 0] - place[0]) * inverse
+        dy = (points[w, 1] - place[1]) * inverse
+        dz = (points[w, 2] - place[2]) * inverse
+        x = dx * u[0] + dy * u[1] + dz * u[2]
+        y = dx * v[0] + dy * v[1] + dz * v[2]
+        z = dx * normal[0] + dy * normal[1] + dz * normal[2]
+        # It fades: a fit changes with the scale without jumps.
+        weight = max(1 - (dx * dx + dy * dy + dz * dz), 0.0) ** 2
+        p[1], p[2], p[3], p[4], p[5] = x, y, x * x / 2, x * y, y * y / 2
+        for j in range(6):
+            share = weight * p[j]
+            b[j] += share * z
+            for k in range(j + 1):
+                A[j, k] += share * p[k]
+        if w != near and not passed[w]:
+            continue
+        for at in range(2 * starts[w], 2 * starts[w] + sizes[w]):
+            other = rings[at]
+            if seen[other] == mark:
+                continue
+            seen[other] = mark
+            square, across = 0.0, 0.0
+            for r in range(3):
+                square += ((points[other, r] - place[r]) * inverse) ** 2
+                across += normals[other, r] * normal[r]
+            if square < 1 and (across > _TURNED or not passed[other]):
+                queue[size] = other
+                size += 1
+    return size
 
 
 @register_jitable

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
+from spectra_kit._core.records import latest
 from spectra_kit._core.types import Bools, Floats, Ints
 from spectra_kit._core.validate import as_indices, real_array
 from spectra_kit._sparse.grounded import held_at_zero
@@ -19,7 +19,6 @@ from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 if TYPE_CHECKING:
     from spectra_kit.operators.laplacian import Laplacian
 
-Made = TypeVar("Made")
 _SUM = 1e-9  # share of the magnitudes below which a sum is rounding
 _ACCURATE = 1e-7  # relative residual up to which a solution is one
 
@@ -64,19 +63,6 @@ def columns(name: str, values: ArrayLike, n: int) -> Floats:
     if array.ndim not in (1, 2) or len(array) != n or not array.size:
         raise InvalidInputError(name, f"have shape ({n},) or ({n}, c)", array.shape)
     return array
-
-
-def latest(laplacian: Laplacian, kind: Callable[[Laplacian, Any], Made], key: Any) -> Made:
-    """Return what was made with this key the last time, or make it: one of each kind is kept."""
-    slot, place = f"_{kind.__name__}", vars(laplacian)
-    before = place.get(slot)  # once: other threads may put theirs there
-    if before is not None and np.array_equal(before[0], key):
-        return before[1]  # type: ignore[no-any-return]
-    del before
-    place.pop(slot, None)  # there may not be room for two
-    made = kind(laplacian, key)
-    place[slot] = key, made
-    return made
 
 
 def factorised(laplacian: Laplacian, sigma: float, held: Bools) -> SparseLDL:

@@ -20,7 +20,7 @@ from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 from spectra_kit.operators.checks import check_faces_usable, unit_of, units_of
 from spectra_kit.operators.oriented import is_inside_out, oriented_triangles
 
-_REACH = 3.0  # spacings of the points: some 30 neighbours where they are even
+REACH = 3.0  # spacings of the points: some 30 neighbours where they are even
 # Area vectors around a point sum to at least that share of their lengths: where they all but
 # cancel, as at the tip of a needle or the rim of a foil, no plane is tangent.
 _CANCELLED = 0.1
@@ -163,7 +163,7 @@ def curvature(geometry: Geometry, *, scale: float | None = None) -> Curvature:
         around = _around_cloud(geometry, points)
     failures = np.where(around.normals.any(axis=1), 0, NO_PLANE).astype(np.uint8)
     failures[~around.whole] = NO_SURFACE
-    reach = _REACH * around.spacings if scale is None else scale / units
+    reach = REACH * around.spacings if scale is None else scale / units
     principal, directions = np.full((n, 2), np.nan), np.full((n, 2, 3), np.nan)
     normals = np.full((n, 3), np.nan)
     given = (points, *around[:5], scale is None)
@@ -183,7 +183,7 @@ def curvature(geometry: Geometry, *, scale: float | None = None) -> Curvature:
     return Curvature(principal / units[:, None], directions, normals, reach * units)
 
 
-class _Around(NamedTuple):
+class Surroundings(NamedTuple):
     """What surrounds each point; the first six as `fit_quadrics` takes them."""
 
     normals: Floats  # zero where no plane is tangent
@@ -197,12 +197,12 @@ class _Around(NamedTuple):
     rim: Bools
 
 
-def _around_mesh(mesh: TriangleMesh, points: Floats) -> _Around:
-    found = _around(points, mesh.faces)
+def _around_mesh(mesh: TriangleMesh, points: Floats) -> Surroundings:
+    found = surroundings_of(points, mesh.faces)
     if found.rim.any():
         warn_of_seams(mesh)
     if not found.whole.all():
-        return _around(points, oriented_triangles(mesh).faces)
+        return surroundings_of(points, oriented_triangles(mesh).faces)
     # As a rule all faces agree. Then it takes less to tell which side of each part is out: the
     # volume under a face is the mean of those under its corners.
     part, degrees = mesh.component_labels, np.diff(found.starts)
@@ -215,7 +215,7 @@ def _around_mesh(mesh: TriangleMesh, points: Floats) -> _Around:
     return found
 
 
-def _around_cloud(cloud: PointCloud, points: Floats) -> _Around:
+def _around_cloud(cloud: PointCloud, points: Floats) -> Surroundings:
     oriented = oriented_triangles(cloud)
     if oriented.consistent < _AGREE:
         warn(
@@ -224,12 +224,13 @@ def _around_cloud(cloud: PointCloud, points: Floats) -> _Around:
             DoubtfulCurvatureWarning,
             advice="sheets that are as near as points of one need more points",
         )
-    found = _around(points, oriented.faces)
+    found = surroundings_of(points, oriented.faces)
     found.whole[:] = True  # each triangle is there for three points
     return found
 
 
-def _around(points: Floats, faces: Ints) -> _Around:
+def surroundings_of(points: Floats, faces: Ints) -> Surroundings:
+    """Return what surrounds the points of triangles."""
     from spectra_kit.operators._curvature_kernels import surroundings
 
     n, corners = len(points), faces.astype(np.int32)
@@ -245,7 +246,7 @@ def _around(points: Floats, faces: Ints) -> _Around:
     lengths = np.linalg.norm(vectors, axis=1)
     plane = lengths > _CANCELLED * areas
     normals = np.divide(vectors, lengths[:, None], np.zeros((n, 3)), where=plane[:, None])
-    return _Around(normals, starts, rings, sizes, whole, spacings, vectors, areas, rim)
+    return Surroundings(normals, starts, rings, sizes, whole, spacings, vectors, areas, rim)
 
 
 def _tell_of(failures: Bytes, scale: float | None) -> None:

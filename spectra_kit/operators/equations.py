@@ -12,18 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.records import latest
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_positive, real_array
 from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.operators._held import (
-    DirichletProblem,
-    Kernel,
-    columns,
-    factorised,
-    latest,
-    solution,
-)
+from spectra_kit.operators._held import DirichletProblem, Kernel, columns, factorised, solution
 from spectra_kit.operators.laplacian import Laplacian
 
 # Of these, an exponential is off by at most 1e-10: see `heat_weights`.

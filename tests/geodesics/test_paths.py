@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from conftest import bumpy, creature, joined, moebius, moved, refused
 from geodesic_truths import by_libigl, cube
+from scipy.spatial.transform import Rotation
 from test_exact_distances import LONE, square
 
 from spectra_kit.errors import DoubtfulDistanceWarning
@@ -19,7 +20,7 @@ from spectra_kit.geodesics import (
     shortened_path,
     trace_geodesic,
 )
-from spectra_kit.geometry import TriangleMesh, rectangle, sphere, torus
+from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, torus
 
 
 def check_on_surface(mesh, path, rtol=1e-9):
@@ -242,6 +243,74 @@ def test_a_trace_that_ends_early_says_so():
     )
 
 
+# --- straight on over clouds ---
+
+
+def scattered(n, seed=0):
+    points = np.random.default_rng(seed).standard_normal((n, 3))
+    return PointCloud(points / np.linalg.norm(points, axis=1)[:, None])
+
+
+def test_over_a_round_cloud_they_are_great_circles():
+    errors = []
+    for n in (1000, 4000, 16000):
+        cloud = scattered(n)
+        start = cloud.points[0]
+        across = np.cross(start, [0.3, 0.5, 0.8])
+        path = trace_geodesic(cloud, 0, across, length=2 * np.pi)
+        np.testing.assert_allclose(path.length, 2 * np.pi, rtol=1e-12)
+        assert path.faces.size == path.barycentric.size == 0
+        errors.append(np.linalg.norm(path.points - start, axis=1)[-1])
+    assert errors[2] < errors[0] / 16  # at least of second order
+    assert errors[2] < 1e-3
+
+
+def test_over_a_ring_of_points_clairaut_holds():
+    spread = []
+    for n in (1000, 4000, 16000):
+        cloud = torus(n=n, minor=0.4).geometry.as_cloud()
+        path = trace_geodesic(cloud, int(np.argmax(cloud.points[:, 0])), [0, 1, 0.7], length=20)
+        ways = np.diff(path.points, axis=0) / np.diff(path.lengths)[:, None]
+        x, y, _ = (path.points[1:] + path.points[:-1]).T / 2
+        spread.append(np.ptp(x * ways[:, 1] - y * ways[:, 0]))  # the same all along
+    assert spread[1] < spread[0] / 4
+    assert spread[2] < spread[1] / 4
+
+
+def test_over_a_cloud_they_turn_with_it_and_know_no_unit():
+    cloud, direction = bumpy(642).as_cloud(), np.array([0.2, 0.9, -0.3])
+    path = trace_geodesic(cloud, 7, direction, length=1.5)
+    rotation = Rotation.from_rotvec([0.4, 1.1, -0.3])
+    for unit in (1e-30, 1.0, 1e30):
+        other = PointCloud(rotation.apply(cloud.points) * unit)
+        same = trace_geodesic(other, 7, rotation.apply(direction), length=1.5 * unit)
+        np.testing.assert_allclose(same.points / unit, rotation.apply(path.points), atol=1e-9)
+
+
+def test_over_a_cloud_they_lead_where_those_of_its_mesh_do():
+    mesh = bumpy(2562)
+    log = logarithmic_map(mesh, 5)
+    near = np.flatnonzero(np.linalg.norm(log.coordinates, axis=1) < 0.8)[1::25]
+    for target in near:
+        path = trace_geodesic(mesh.as_cloud(), 5, log.coordinates[target] @ log.axes)
+        assert np.linalg.norm(path.points[-1] - mesh.points[target]) < 0.02 * path.length + 0.005
+
+
+def test_over_a_cloud_they_end_at_the_boundary_or_where_no_point_is():
+    flat = rectangle(n=900).geometry
+    cloud, (width, height, _) = flat.as_cloud(), np.ptp(flat.points, axis=0)
+    spacing = np.sqrt(width * height / flat.n)
+    middle = int(np.argmin(np.linalg.norm(flat.points - flat.points.mean(axis=0), axis=1)))
+    with pytest.warns(DoubtfulDistanceWarning, match="at the boundary"):
+        path = trace_geodesic(cloud, middle, [0.1, 1, 0], length=100)
+    way = path.points - path.points[0]
+    np.testing.assert_allclose(way, np.outer(way[:, 1], [0.1, 1, 0]), atol=1e-9)
+    assert abs(path.points[-1, 1] - flat.points[:, 1].max()) < spacing
+    corner = int(np.argmin(flat.points[:, :2].sum(axis=1)))
+    along = trace_geodesic(cloud, corner, [1, 0, 0], length=width)  # on the boundary itself
+    np.testing.assert_allclose(along.points[-1], flat.points[corner] + [width, 0, 0], atol=1e-9)
+
+
 # --- locally shortest ---
 
 
@@ -296,6 +365,12 @@ def test_they_refuse():
         [[0, 1, 2], [0, 1, 3], [0, 1, 4]],
     )
     refused("source", "lie on one sheet", logarithmic_map, book, 0)
+    ball = scattered(300)
+    inside = FacePoint(0, (0.2, 0.3, 0.5))
+    refused("source", "be a point of the cloud", trace_geodesic, ball, inside, [1, 0, 0])
+    refused("source", "be in [0, 299]", trace_geodesic, ball, 300, [1, 0, 0])
+    refused("direction", "have a part in the tangent plane", trace_geodesic, ball, 0, [0, 0, 0])
+    refused("length", "take fewer than", trace_geodesic, ball, 0, [1, 0, 0], length=1e9)
     refused("mesh", "be an orientable manifold", shortened_path, book, [0, 3])
     refused("mesh", "be an orientable manifold", shortened_path, moebius(), [0, 3])
     refused("vertices", "lie on one component", shortened_path, two, [0, 100])
