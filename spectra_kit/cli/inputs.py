@@ -85,7 +85,7 @@ def load(file: str, asked: Reading, *, pose: int = 0) -> tuple[sk.geometry.Geome
         with step("making the demo"):
             geometry = sk.geometry.creature(asked.points, seed=asked.seed, pose=pose)
     else:
-        _check_there(Path(file))
+        check_there(Path(file))
         with step(f"reading {file}"):
             found = sk.geometry.without_nan(file) if asked.repair else None
             geometry = sk.read(file) if found is None else found.geometry
@@ -117,7 +117,7 @@ def load(file: str, asked: Reading, *, pose: int = 0) -> tuple[sk.geometry.Geome
     return geometry, Numbering(numbers, geometry.n)
 
 
-def _check_there(path: Path) -> None:
+def check_there(path: Path) -> None:
     """Refuse what is no file, or not there, and name the likeliest of those that are."""
     with of_file(path):
         if path.is_dir():

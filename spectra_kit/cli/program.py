@@ -22,6 +22,7 @@ COMMANDS = {
     "compare": ("predicted and exact", "compare bunny.obj -o errors.png"),
     "explore": ("modes in the browser", "explore bunny.obj -o bunny.html"),
     "match": ("corresponding points", "match cat.off lion.off -o maps"),
+    "carry": ("labels along a map", "carry cat.off lion.off parts.npy"),
     "geodesic": ("distances along it", "geodesic bunny.obj --source 7"),
     "path": ("shortest ways", "path cat.off --source 7 --to 90"),
     "curvature": ("how it bends", "curvature bunny.obj"),
@@ -73,6 +74,7 @@ def load(name: str) -> tuple[type[Command], Callable[[Any], None]]:
     """Return what a command can be told, and its function; rooms of the library wait."""
     from spectra_kit.cli import (
         batch,
+        carry,
         compare,
         explore,
         geodesic,
@@ -92,6 +94,7 @@ def load(name: str) -> tuple[type[Command], Callable[[Any], None]]:
         "compare": (compare.CompareOptions, compare.compare),
         "explore": (explore.ExploreOptions, explore.explore),
         "match": (match.MatchOptions, match.match_shapes),
+        "carry": (carry.CarryOptions, carry.carry),
         "geodesic": (geodesic.GeodesicOptions, geodesic.geodesic_distances),
         "path": (surface.PathOptions, surface.shortest_paths),
         "curvature": (surface.CurvatureOptions, surface.curvature),

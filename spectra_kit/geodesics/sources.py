@@ -249,15 +249,17 @@ def points_named(name: str, points: Any, mesh: TriangleMesh) -> list[int | FaceP
     return named
 
 
-def spread(sources: Any, geometry: HasPoints) -> tuple[Ints, Ints, Floats, Floats]:
+def spread(
+    sources: Any, geometry: HasPoints, name: str = "sources"
+) -> tuple[Ints, Ints, Floats, Floats]:
     """Return which source heats which vertices, what share of it that is, and how far it is."""
-    named = named_sources(sources, geometry)
+    named = named_sources(sources, geometry, name)
     if not named:
-        raise InvalidInputError("sources", "name at least one source", "none")
+        raise InvalidInputError(name, "name at least one source", "none")
     rows = [_spread(source, geometry) for source in named]
     owners = np.repeat(np.arange(len(rows)), [len(row[0]) for row in rows])
     points, shares, lengths = (np.concatenate(column) for column in zip(*rows, strict=True))
-    _check_used("sources", points, geometry)
+    _check_used(name, points, geometry)
     return owners, points, shares, lengths
 
 

@@ -19,6 +19,8 @@ refine    `zoomout`, `bijective_zoomout`, `icp`                to a `Corresponde
 convert   `point_map_from_functional_map`,                     one kind of map to the other
           `functional_map_from_point_map`
           `precise_map`, `functional_map_from_precise_map`     with points inside triangles
+carry     `Carrier`, `Match.carry`                             values, labels, landmarks, vectors,
+                                                               textures and poses along a map
 compare   `shape_difference`                                   where it stretches, and by how much
 judge     `geodesic_errors`, `map_errors`, `accuracy_curve`,   against a known `Truth`, in
           `auc`                                                hundredths of the root of the area
@@ -39,6 +41,7 @@ A fit may be flipped, and no refinement turns it round; `match` sees to that.
 (Correspondence(600 points, functional map 40 x 40), True)
 """
 
+from spectra_kit.maps.carry import CarriedLabels, Carrier
 from spectra_kit.maps.collection import CollectedPair, Collection, match_collection
 from spectra_kit.maps.convert import (
     Correspondence,
@@ -74,6 +77,8 @@ from spectra_kit.maps.zoomout import bijective_zoomout, icp, zoomout, zoomout_ma
 __all__ = [
     "FLIP_MARGIN",
     "Candidate",
+    "CarriedLabels",
+    "Carrier",
     "CollectedPair",
     "Collection",
     "Correspondence",

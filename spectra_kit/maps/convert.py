@@ -236,7 +236,7 @@ def into_triangles(
     def project(start: int, stop: int) -> tuple[Ints, Ints, Floats]:
         candidates = around[closest[start:stop]].tocoo()
         point, face = candidates.coords
-        weights, squared = _project(rows[start:stop][point], images[triangles[face]])
+        weights, squared = nearest_on_triangles(rows[start:stop][point], images[triangles[face]])
         order = np.lexsort((squared, point))
         first = order[np.unique(point[order], return_index=True)[1]]
         # Where the closest is a corner of none, the row stays with it.
@@ -253,7 +253,7 @@ def into_triangles(
     return result
 
 
-def _project(points: Floats, corners: Floats) -> tuple[Floats, Floats]:
+def nearest_on_triangles(points: Floats, corners: Floats) -> tuple[Floats, Floats]:
     """Return barycentric coordinates (c, 3) of, and squared distances (c,) to, the nearest points.
 
     `points` are (c, d), the triangles' `corners` (c, 3, d), degenerate ones included.

@@ -6,15 +6,17 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Bools, Floats, Ints
-from spectra_kit._core.validate import check_count, check_weights, quantity, real_array
+from spectra_kit._core.validate import as_array, check_count, check_weights, quantity, real_array
 from spectra_kit._core.warn import warn
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.maps import calibration
+from spectra_kit.maps.places import as_places, carried_values, coded, voted
 
 #: What may be wrong with a map: see `Match.doubts`.
 Doubt = Literal[
@@ -294,6 +296,25 @@ class Match(Rebuilt):
             "landmark_distances": held is None or bool(held.all()),
         }
         return tuple(name for name, fine in clear.items() if not fine)
+
+    def carry(self, values: ArrayLike) -> Floats | Ints:
+        """Carry what each source point has to the target's: real values, or labels.
+
+        Values (n1,) or (n1, c), mixed where the match is `precise`, become (n2,) or (n2, c), NaN
+        where nothing is `covered`; integers (n1,) are taken for labels, and go by the majority, -1
+        there. For labels of faces, landmarks, vectors, textures and poses, and for the way back,
+        see `maps.Carrier`.
+        """
+        given = as_array("values", values)
+        n1 = max(len(given) if given.ndim else 0, 1 + int(self.point_map.max()))
+        n1 = n1 if self.precise is None else self.precise.shape[1]
+        along = self.point_map if self.precise is None else self.precise
+        places = as_places("the match", along, n1, len(self.point_map))
+        if given.dtype.kind not in "biu" or given.ndim != 1:
+            return carried_values(places, self.covered, given)
+        found, codes = coded("values", given, n1, "point")
+        labels = found[voted(places, codes, len(found))]
+        return labels if self.covered is None else np.where(self.covered, labels, -1)
 
     def _rims_agree(self) -> bool:
         """Tell whether both surfaces may be wholes: what is cut off elsewhere is no partner.

@@ -3,6 +3,7 @@
 import json
 import re
 
+import numpy as np
 import pytest
 from conftest import creature
 from running import printed
@@ -27,6 +28,7 @@ CHEAP = {  # what is not SMALL with four modes
     "curvature": ("demo", "--points", "8000", "--no-pictures", "-q", "--json"),
     "smooth": SMALL,
     "match": ("a.off", "b.off", "-q", "--json", "-k", "30", "--no-pictures"),
+    "carry": ("a.off", "a.off", "u.npy", "--maps", ".", "-q", "--json"),
     "similar": ("a.off", ".", "-q", "--json", "-k", "20"),
     "label": ("a.off", "known.safetensors", "-q", "--json"),
     "batch": ("a.off", "-o", "spectra", "-q", "--json", "-k", "4", "--nworkers", "0"),
@@ -61,7 +63,7 @@ def test_help_begins_with_a_purpose_and_its_examples_and_options_parse(name, cap
         parse(example.split(" >")[0].split())
     for flag in ("--json", "--quiet", "--debug"):
         assert flag in text.split(" general ")[1]
-    two = {key: ["a", "b"] for key in ("match", "similar", "label")}
+    two = {key: ["a", "b"] for key in ("match", "similar", "label")} | {"carry": ["a", "b", "c"]}
     files, given = {**two, "store": ["list", "a"], "completion": ["bash"]}.get(name, ["a"]), []
     for option in app(name)[name].assemble_argument_collection():
         if option.show and option.index is None:
@@ -98,6 +100,10 @@ def test_json_is_one_object_with_the_keys_that_the_help_names(name, capsys, monk
         recipe = Recipe(embeddings=(ShapeDNA(count=3),), k=5)
         known = train_classifier([ball, ball], [0, 1], recipe=recipe, method=NearestNeighbour())
         save_labeller("known.safetensors", known)
+    if name == "carry":
+        write(sphere(subdivisions=0).geometry, "a.off")
+        for file in ("u.npy", "point_map.npy"):
+            np.save(file, np.arange(12))
     if name == "match-all":
         write(creature(600), "a.off")
         for animal in ("cat", "lion"):

@@ -1,0 +1,220 @@
+"""Carry what one shape has to another, along the maps that `match` has written."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from cyclopts import Parameter
+
+import spectra_kit as sk
+from spectra_kit._core.files import atomic_path
+from spectra_kit._core.validate import check_indices, quantity
+from spectra_kit.cli import options, tables
+from spectra_kit.cli.inputs import check_there, of_file
+from spectra_kit.cli.output import check_output, tell
+from spectra_kit.cli.progress import step
+from spectra_kit.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from scipy import sparse
+
+    from spectra_kit.geometry import Geometry
+    from spectra_kit.maps import Carrier
+
+_TABLES, _OVERLAYS = (".npy", ".csv"), (".gii", ".curv", ".thickness", ".sulc", ".area")
+_MESHES = (".ply", ".vtk", ".vtp")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CarryOptions(options.Command, group="input"):
+    """Carry values, labels or landmarks of SOURCE to TARGET along a map between both."""
+
+    examples = (
+        "carry cat.off lion.off parts.npy",
+        "carry lh.pial atlas.gii thickness.gii --maps maps -o thickness_there.gii",
+        "carry cat.off lion.off tips.csv --marks -o tips_of_lion.csv",
+    )
+    keys = "source, target, values, kind, carried, undefined, confidence, output"
+    operands = "SOURCE TARGET VALUES [options]"
+    needs = ("maps",)
+
+    source: Annotated[Path, Parameter(help="a mesh or point cloud")] = field(kw_only=False)
+    target: Annotated[Path, Parameter(help="another one")] = field(kw_only=False)
+    values: Annotated[
+        Path,
+        Parameter(
+            help="one row for each vertex or face of SOURCE (.npy, .csv, .gii, .annot, or values of"
+            " FreeSurfer); integers are labels"
+        ),
+    ] = field(kw_only=False)
+    maps: Path = Path("match")
+    """the folder that `spectra-kit match SOURCE TARGET` wrote; of --precise, smoother"""
+    marks: bool = False
+    """VALUES names vertices of SOURCE, counted from 0: tell where on TARGET they are"""
+    output: options.Output = Path("carried.npy")
+    """the file: .npy or .csv; of vertices also .gii, a file of FreeSurfer, or TARGET with the
+    values as .ply, .vtk or .vtp"""
+
+
+def carry(asked: CarryOptions) -> None:
+    """Carry what a file holds, and write it."""
+    known = _TABLES if asked.marks else (*_TABLES, *_OVERLAYS, *_MESHES)
+    check_output(asked.output, known, [*asked.inputs, asked.values])
+    for file in (*asked.inputs, asked.values):
+        check_there(file)
+    with step("reading"):
+        source, target = sk.read(asked.source), sk.read(asked.target)
+        carrier = sk.maps.Carrier(source, target, _map_in(asked.maps, source, target))
+        given = _read(asked.values)
+    with step("carrying"):
+        if asked.marks:
+            kind, sure = "landmarks", None
+            found = _landmarks(asked, carrier, given)
+        else:
+            kind, found, sure = _carried(asked, carrier, given)
+    head = "x,y,z,face,weight0,weight1,weight2" if asked.marks else ""
+    with step(f"writing {asked.output}"):
+        _write(asked.output, target, found, head, on_faces="face" in kind)
+    undefined = int(_lacking(found).sum())
+    record = {
+        **{"source": str(asked.source), "target": str(asked.target), "values": asked.values},
+        **{"kind": kind, "carried": len(found), "undefined": undefined, "confidence": sure},
+        "output": asked.output,
+    }
+    left = ("source", "target", *(("confidence",) if sure is None else ()))
+    told = {name: value for name, value in record.items() if name not in left}
+    tell(
+        asked,
+        record,
+        f"{tables.size(str(asked.source), source)}\n{tables.size(str(asked.target), target)}",
+        tables.pairs(told),
+    )
+
+
+def _carried(
+    asked: CarryOptions, carrier: "Carrier", given: "np.ndarray"
+) -> tuple[str, "np.ndarray", float | None]:
+    """Return what of which kind is carried, and how sure that is."""
+    faces = len(carrier.source.faces) if isinstance(carrier.source, sk.TriangleMesh) else None
+    on_faces = len(given) == faces != carrier.source.n
+    if len(given) not in (carrier.source.n, faces):
+        what = f"{carrier.source.n} vertices" + (f" or {faces} faces" if faces else "")
+        with of_file(asked.values):
+            raise InvalidInputError(
+                f"holds {quantity(len(given), 'row')}, expected one for each of {what} of"
+                f" {asked.source}",
+                advice="are SOURCE and TARGET exchanged?",
+            )
+    if given.dtype.kind in "biu" and given.ndim == 1:
+        labels = carrier.face_labels(given) if on_faces else carrier.labels(given)
+        sure = labels.confidence[labels.confidence > 0]
+        mean = float(sure.mean()) if len(sure) else 0.0
+        return f"labels of {'faces' if on_faces else 'vertices'}", labels.labels, mean
+    if on_faces:
+        return "values of faces", carrier.face_values(given), None
+    return "values of vertices", carrier.values(given), None
+
+
+def _landmarks(asked: CarryOptions, carrier: "Carrier", given: "np.ndarray") -> "np.ndarray":
+    """Return the place, the face and the weights there of each landmark, NaN where there is none.
+
+    Of one at a vertex, a face that has it.
+    """
+    target = carrier.target
+    with of_file(asked.values):
+        points = check_indices("landmarks", given.ravel(), carrier.source.n)
+    rows = np.full((len(points), 7), np.nan)
+    for row, place in zip(rows, carrier.landmarks(points), strict=True):
+        if isinstance(place, int):
+            row[:3] = target.points[place]
+            if isinstance(target, sk.TriangleMesh):
+                face, corner = np.argwhere(target.faces == place)[0]
+                row[3:] = face, *np.eye(3)[corner]
+        elif place is not None:
+            assert isinstance(target, sk.TriangleMesh)
+            row[:] = *place.position(target), place.face, *place.barycentric
+    return rows
+
+
+def _map_in(folder: Path, source: "Geometry", target: "Geometry") -> "sparse.csr_array":
+    """Return the map that `match` has written; rows of points without a partner are empty."""
+    from scipy import sparse
+
+    from spectra_kit.geometry.formats.numpy_arrays import read_npy
+
+    fine, plain, part = (
+        folder / name for name in ("precise_map.npz", "point_map.npy", "covered.npy")
+    )
+    with of_file(folder):
+        if not plain.is_file():
+            raise InvalidInputError(
+                "holds no point_map.npy", advice="name the folder that `spectra-kit match` wrote"
+            )
+    with of_file(plain):
+        found = np.asarray(read_npy(plain)[0])
+        if found.shape != (target.n,) or found.dtype.kind not in "iu" or found.max() >= source.n:
+            raise InvalidInputError(
+                f"is no map from {target.n} points to {source.n}",
+                advice="are SOURCE and TARGET those that were matched, in that order?",
+            )
+    there = found >= 0
+    if part.is_file():
+        with of_file(part):
+            there &= np.asarray(read_npy(part)[0]).astype(bool)
+    if fine.is_file():
+        places: Any = sparse.load_npz(fine)
+        with of_file(fine):
+            if places.shape != (target.n, source.n):
+                raise InvalidInputError(f"has shape {places.shape}, not {target.n} by {source.n}")
+        return sparse.csr_array(sparse.diags_array(there.astype(float)) @ places)
+    rows = np.append(0, np.cumsum(there))
+    return sparse.csr_array((np.ones(rows[-1]), found[there], rows), shape=(target.n, source.n))
+
+
+def _read(path: Path) -> "np.ndarray":
+    """Return what a file has for each vertex or face: (n,) or (n, c)."""
+    from spectra_kit.geometry.formats.numpy_arrays import read_npy
+
+    if path.suffix.lower() == ".npy":
+        with of_file(path):
+            return np.asarray(read_npy(path)[0])
+    if path.suffix.lower() != ".csv":
+        return sk.geometry.read_overlay(path).values
+    with of_file(path):
+        try:
+            text = path.read_text()
+            head = any(c.isalpha() for c in text.partition("\n")[0].replace("e", "").lower())
+            rows = np.loadtxt(text.splitlines(), delimiter=",", skiprows=int(head), ndmin=2)
+        except (ValueError, OSError) as error:
+            raise InvalidInputError(f"not a table of numbers parted by commas ({error})") from error
+    whole = (rows == np.round(rows)).all() and "." not in text
+    table = rows.astype(np.int64) if whole else rows
+    return table[:, 0] if table.shape[1] == 1 else table
+
+
+def _write(
+    path: Path, target: "Geometry", found: "np.ndarray", head: str, *, on_faces: bool
+) -> None:
+    suffix = path.suffix.lower()
+    if on_faces and suffix not in _TABLES:
+        expected = f"be a {' or '.join(_TABLES)} file for what faces have"
+        raise InvalidInputError("output", expected, repr(str(path)))
+    if suffix in _MESHES:
+        sk.write(target, path, point_data={"carried": found})
+    elif suffix in _OVERLAYS:
+        sk.geometry.write_overlay(found, path)
+    else:
+        with atomic_path(path) as part:
+            if suffix == ".npy":
+                with part.open("wb") as file:
+                    np.save(file, found)
+            else:
+                form = "%d" if found.dtype.kind in "iu" else "%.17g"
+                np.savetxt(part, found, form, ",", header=head, comments="")
+
+
+def _lacking(found: "np.ndarray") -> "np.ndarray":
+    """Tell for which vertices or faces a value or a label is not defined."""
+    lacking = np.asarray(found == -1 if found.dtype.kind in "iu" else np.isnan(found))
+    return np.asarray(lacking.reshape(len(found), -1).any(axis=1))
