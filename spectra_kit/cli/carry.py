@@ -31,9 +31,9 @@ class CarryOptions(options.Command, group="input"):
     """Carry values, labels or landmarks of SOURCE to TARGET along a map between both."""
 
     examples = (
-        "carry cat.off lion.off parts.npy",
-        "carry lh.pial atlas.gii thickness.gii --maps maps -o thickness_there.gii",
-        "carry cat.off lion.off tips.csv --marks -o tips_of_lion.csv",
+        "carry cat.off dog.off parts.npy",
+        "carry lh.pial atlas.gii thickness.gii -o there.gii",
+        "carry cat.off dog.off tips.csv --marks -o there.csv",
     )
     keys = "source, target, values, kind, carried, undefined, confidence, output"
     operands = "SOURCE TARGET VALUES [options]"

@@ -22,7 +22,7 @@ COMMANDS = {
     "compare": ("predicted and exact", "compare bunny.obj -o errors.png"),
     "explore": ("modes in the browser", "explore bunny.obj -o bunny.html"),
     "match": ("corresponding points", "match cat.off lion.off -o maps"),
-    "carry": ("labels along a map", "carry cat.off lion.off parts.npy"),
+    "carry": ("labels along a map", "carry cat.off dog.off parts.npy"),
     "geodesic": ("distances along it", "geodesic bunny.obj --source 7"),
     "path": ("shortest ways", "path cat.off --source 7 --to 90"),
     "curvature": ("how it bends", "curvature bunny.obj"),
