@@ -1,4 +1,4 @@
-"""The solves of `SparseLDL`, eight right-hand sides at a time, compiled by numba on first use.
+"""The solves of `SparseLDL`, eight right-hand sides at a time or one; by numba on first use.
 
 What is read of a factor is worth little arithmetic for one right-hand side: the solve waits for
 memory. For eight there is as much to read and eight times as much to do with it, if the processor
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba.core import types
-from numba.extending import intrinsic, models, register_model
+from numba.extending import intrinsic, models, register_jitable, register_model
 from numpy.typing import NDArray
 
 from spectra_kit._core.compiled import compiled
@@ -31,17 +31,25 @@ _FUSED = ("contract",)  # one rounding for a product and its sum, where the proc
 class Lanes(types.Type):
     """A number of each of the right-hand sides."""
 
-    def __init__(self, dtype: Any) -> None:
-        self.dtype = dtype
-        super().__init__(name=f"Lanes({dtype})")
+    def __init__(self, dtype: Any, count: int) -> None:
+        self.dtype, self.count = dtype, count
+        super().__init__(name=f"Lanes({dtype}, {count})")
 
 
 @register_model(Lanes)
 class _LanesModel(models.PrimitiveModel):
     def __init__(self, dmm: Any, fe_type: Any) -> None:
         number = dmm.lookup(fe_type.dtype).get_value_type()
-        vector = ir.VectorType(number, LANES)
-        super().__init__(dmm, fe_type, vector)  # type: ignore[no-untyped-call]
+        super().__init__(dmm, fe_type, _vector(number, fe_type.count))  # type: ignore[no-untyped-call]
+
+
+def _lanes(array: Any) -> Lanes:
+    """Return what a row of an array of shape (n, 8), or an entry of one of shape (n,), is."""
+    return Lanes(array.dtype, 1 if array.ndim == 1 else LANES)
+
+
+def _vector(number: Any, count: int) -> Any:
+    return number if count == 1 else ir.VectorType(number, count)
 
 
 def _instruction(define: Callable[..., Any]) -> Any:
@@ -50,16 +58,17 @@ def _instruction(define: Callable[..., Any]) -> Any:
 
 
 def _row(context: Any, builder: Any, kind: Any, array: Any, i: Any) -> tuple[Any, int]:
-    """Return a pointer to row i of an array of shape (n, 8) as a vector, and its alignment."""
-    start = context.make_array(kind)(context, builder, array).data
-    number = start.type.pointee
-    place = builder.gep(start, [builder.mul(i, context.get_constant(types.intp, LANES))])
-    vector = ir.VectorType(number, LANES).as_pointer()
+    """Return a pointer to row i of an array of lanes as a vector, and its alignment."""
+    start, count = context.make_array(kind)(context, builder, array).data, _lanes(kind).count
+    place = builder.gep(start, [builder.mul(i, context.get_constant(types.intp, count))])
+    vector = _vector(start.type.pointee, count).as_pointer()
     return builder.bitcast(place, vector), kind.dtype.bitwidth // 8
 
 
 def _in_all_lanes(builder: Any, number: Any, vector: Any) -> Any:
     """Return a number as a vector."""
+    if vector == number.type:
+        return number
     unknown = ir.Constant(vector, ir.Undefined)
     index = ir.IntType(32)
     first = builder.insert_element(unknown, number, ir.Constant(index, 0))
@@ -69,18 +78,18 @@ def _in_all_lanes(builder: Any, number: Any, vector: Any) -> Any:
 
 @_instruction
 def _take(typing: Any, array: Any, i: Any) -> Any:
-    """Row i of an array of shape (n, 8)."""
+    """Row i of an array of lanes."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         place, alignment = _row(context, builder, signature.args[0], *arguments)
         return builder.load(place, align=alignment)
 
-    return Lanes(array.dtype)(array, types.intp), generate
+    return _lanes(array)(array, types.intp), generate
 
 
 @_instruction
 def _put(typing: Any, array: Any, i: Any, lanes: Any) -> Any:
-    """Write row i of an array of shape (n, 8)."""
+    """Write row i of an array of lanes."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         place, alignment = _row(context, builder, signature.args[0], *arguments[:2])
@@ -88,6 +97,21 @@ def _put(typing: Any, array: Any, i: Any, lanes: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(array, types.intp, lanes), generate
+
+
+@_instruction
+def _zero(typing: Any, array: Any, i: Any) -> Any:
+    """Whether row i of an array of lanes is zero; NaN is not."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        place, alignment = _row(context, builder, signature.args[0], *arguments)
+        row = builder.load(place, align=alignment)
+        some = builder.fcmp_unordered("!=", row, ir.Constant(row.type, None))
+        if some.type != ir.IntType(1):
+            some = builder.bitcast(some, ir.IntType(LANES))
+        return builder.icmp_unsigned("==", some, ir.Constant(some.type, 0))
+
+    return types.boolean(array, types.intp), generate
 
 
 @_instruction
@@ -144,27 +168,61 @@ def solve_columns(
 ) -> None:
     """Write the solution of ``P (I + L) D (I + L)^T P^T x = rhs`` to `out`, both (n, s).
 
-    For the columns `left` to `right`, eight at most; fewer take the time of eight. Four columns of
-    the factor are read in one pass. All lanes do the same, so that the bits of a solution do not
-    depend on the others.
+    For the columns `left` to `right`, eight at most; of fewer, but for one, each takes as long. All
+    lanes do the same, so that the bits of a solution do not depend on the others.
     """
-    n, count, many = len(order), len(begins) - 1, right - left
-    y = np.zeros((n, LANES), factor.dtype)
+    n, many, most = len(order), right - left, _longest(begins, first)
+    if many == 1:
+        x, work = np.empty(n, factor.dtype), np.empty(most, factor.dtype)
+        for i in range(n):
+            x[i] = rhs[order[i], left]
+        _solve(begins, first, rows, panels, factor, inverse, x, work)
+        for i in range(n):
+            out[order[i], left] = x[i]
+        return
+    y, works = np.zeros((n, LANES), factor.dtype), np.empty((most, LANES), factor.dtype)
     for i in range(n):
         for c in range(many):
             y[i, c] = rhs[order[i], left + c]
+    _solve(begins, first, rows, panels, factor, inverse, y, works)
+    for i in range(n):
+        for c in range(many):
+            out[order[i], left + c] = y[i, c]
+
+
+@register_jitable
+def _longest(begins: Ints, first: Longs) -> int:
+    """Return the most rows that a run of columns has."""
     most = 0
-    for s in range(count):
+    for s in range(len(begins) - 1):
         most = max(most, begins[s + 1] - begins[s] + first[s + 1] - first[s])
-    work = np.empty((most, LANES), factor.dtype)  # the rows of a run of columns, side by side
+    return most
+
+
+@register_jitable
+def _solve(
+    begins: Ints,
+    first: Longs,
+    rows: Ints,
+    panels: Longs,
+    factor: Reals,
+    inverse: Reals,
+    y: Reals,
+    work: Reals,
+) -> None:
+    """Solve in place for lanes `y`, in the order of elimination.
+
+    In `work` the rows of a run of columns lie side by side; four of these columns are read in one
+    pass.
+    """
+    count = len(begins) - 1
     for s in range(count):
         a, width, low = begins[s], begins[s + 1] - begins[s], first[s]
         u = first[s + 1] - low
         m = width + u
         nothing = True
         for k in range(width):
-            for c in range(many):
-                nothing = nothing and y[a + k, c] == 0.0
+            nothing = nothing and _zero(y, a + k)
         if nothing:  # as in most runs where few entries of `rhs` are not zero
             continue
         for k in range(width):
@@ -237,6 +295,3 @@ def solve_columns(
             _put(work, k + 3, w3)
         for k in range(width):
             _copy(y, a + k, work, k)
-    for i in range(n):
-        for c in range(many):
-            out[order[i], left + c] = y[i, c]
