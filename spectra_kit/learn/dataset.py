@@ -143,6 +143,13 @@ class StoreDataset(Dataset[ShapeTensors]):
                 "some are gone",
                 advice="the run that computed them computes them again",
             )
+        if spectrum.consistent_mass is not None:
+            raise InvalidInputError(
+                "store",
+                "hold modes of lumped masses, one number for each point, as networks take them",
+                "those of a consistent mass",
+                advice="compute them with Plan(mass='lumped')",
+            )
         eigenvalues, eigenvectors, mass = spectrum.to_torch(dtype=self.dtype)
         faces = shape.faces if isinstance(shape, TriangleMesh) else np.empty((0, 3))
         item = ShapeTensors(

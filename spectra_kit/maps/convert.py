@@ -334,7 +334,11 @@ def check_sizes(
 
 
 def check_components(source: Spectrum, target: Spectrum) -> None:
-    """Refuse two surfaces whose kernels differ: their modes cannot correspond one to one."""
+    """Refuse two shapes whose modes cannot correspond one to one, as their kernels differ."""
+    if source.dimension != target.dimension:
+        raise InvalidInputError(
+            "`source` and `target` must both be of surfaces, or of volumes, got one of each"
+        )
     a, b = source.n_zero_modes, target.n_zero_modes
     if a != b:
         raise InvalidInputError(

@@ -168,6 +168,13 @@ def prepared(
         if geometry is not None:
             raise InvalidInputError("geometry", "be left out where `spectrum` is one", "another")
         geometry, spectrum = spectrum, solved(spectrum, min(MODES, spectrum.n))
+    if spectrum.dimension != 2:
+        raise InvalidInputError(
+            "spectrum",
+            "be of a surface",
+            "that of a volume",
+            advice="match their boundaries (`TetrahedralMesh.surface`)",
+        )
     if spectrum.k < LOWEST_K:
         raise InvalidInputError(
             "spectrum",

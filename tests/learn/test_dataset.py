@@ -463,3 +463,11 @@ def test_a_network_tells_what_a_batch_lacks(store) -> None:
     assert shapes.slopes is None
     module = DiffusionNet().build(shapes.features.shape[-1], 2)
     refused("batch", "hold modes and 'gradient', for DiffusionNet", module, shapes)
+
+
+def test_modes_of_a_consistent_mass_are_no_items(tmp_path):
+    """Networks weigh points by one number each, by which these modes are not orthonormal."""
+    store, plan = SpectrumStore(tmp_path / "store"), Plan(k=8, mass="consistent")
+    write(creature(500), tmp_path / "a.off")
+    complete(store, "a", tmp_path / "a.off", plan)
+    refused("store", "hold modes of lumped masses", lambda: StoreDataset(store)[0])

@@ -394,6 +394,7 @@ def test_what_cannot_be_matched_is_refused(mesh, spectrum, source) -> None:
     for argument, expected, given in (
         ("spectrum", "be of one connected surface", (two,)),
         ("spectrum", "hold the constant mode", (fixed,)),
+        ("spectrum", "be of a surface", (replace(spectrum, dimension=3),)),
         ("geometry", "be the mesh or cloud of the spectrum", (spectrum, creature(600))),
         ("geometry", "be in the unit of", (spectrum, mesh.with_points(10 * mesh.points))),
     ):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import creature, refused
@@ -192,6 +194,7 @@ def test_what_cannot_be_refined_is_refused(spectrum, bent) -> None:
         ("k_start", "be in [1, 20]", {"initial": SAME, "k_start": 21}),
         ("initial", "be finite", {"initial": C * np.nan}),
         ("source` and `target", "have the same number of components", {"target": two}),
+        ("source` and `target", "both be of surfaces", {"target": replace(bent, dimension=3)}),
         ("k_final", "be at most 15, got 20: the source has 60", {"target": bent.truncate(15)}),
     ):
         for refine in (zoomout, bijective_zoomout):
