@@ -16,8 +16,8 @@ from spectra_kit._core.types import Floats
 from spectra_kit._sparse.products import spmm
 from spectra_kit.errors import InvalidInputError
 
-_STEPS = 200  # of linear elements 20 do
-_LEFT = 1e-8  # of the squares: norms are told to four digits
+_STEPS = 200  # of linear elements 10 do
+_LEFT = 1e-4  # of the squares: norms are told to four digits, and too large
 _RESTARTS = 100
 _FEW = 16  # points up to which LAPACK tells the least eigenvalue
 
