@@ -182,8 +182,12 @@ class SparseLDL:
         pattern = (known.order, known.begins, known.first, known.rows, known.panels)
         columns = rhs.size // max(self.n, 1)
         block = (rhs.reshape(self.n, columns), out.reshape(self.n, columns))
-        cuts = shares(columns, -(-columns // LANES)) if columns else []
-        in_threads(solve_columns, ((*pattern, lower, inverse, *block, *cut) for cut in cuts))
+        given = (*pattern, lower, inverse, *block)
+        if 0 < columns <= LANES:  # as ARPACK asks, thousands of times
+            solve_columns(*given, 0, columns)
+        elif columns:
+            cuts = shares(columns, -(-columns // LANES))
+            in_threads(solve_columns, ((*given, *cut) for cut in cuts))
         return out
 
     @cached_property
