@@ -30,6 +30,7 @@ STUDIES = {
     "dense": "matching.dense",
     "collection": "matching.collection",
     "parts": "matching.parts",
+    "carry": "matching.carry",
     "classification": "learning.classify",
     "segmentation": "learning.segment",
     "diffusion-net": "learning.diffusion_net",
