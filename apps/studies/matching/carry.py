@@ -9,8 +9,9 @@ lines between where a landmark is carried to and where it is, in hundredths of t
 *back* of the way back. *IoU* is of twelve regions around points far from each other, in the mean;
 *right* and *wrong* are the confidence of labels that are so. *Angle* is the median one between the
 carried gradient of the distance from a landmark and the gradient of the distance from where that
-is, of five landmarks; *undefined* the share of vectors that are not carried. *Texture* is how far coordinates are off
-that went there and back, in hundredths of the width of the texture; six charts with seams.
+is, of five landmarks; *undefined* the share of vectors that are not carried. *Texture* is how far
+coordinates are off that went there and back, in hundredths of the width of the texture; six charts
+with seams.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ def measure(args: argparse.Namespace) -> None:
         for _ in range(args.pairs):
             one, other = (subjects[i] for i in rng.permutation(len(subjects))[:2])
             told: Record = {"set": name, "pair": f"{one.name} to {other.name}"}
-            own.append(told | _carried(one, other))
+            own.append(told | carried(one, other))
         numbers = [key for key, form in _COLUMNS.items() if form]
         rows += own
         for what, of in (("mean", np.mean), ("median", np.median)):
@@ -66,7 +67,8 @@ def measure(args: argparse.Namespace) -> None:
     write_report(args.out, "carry", [], tables, describe_machine())
 
 
-def _carried(one: Subject, other: Subject) -> Record:
+def carried(one: Subject, other: Subject) -> Record:
+    """Return what came of carrying between two subjects."""
     a, b, truth = one.mesh, other.mesh, truth_between(one, other)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DoubtfulMatchWarning)
@@ -82,12 +84,13 @@ def _carried(one: Subject, other: Subject) -> Record:
     labels = carrier.labels(regions)
     true, own, sure = regions[there], labels.labels[here], labels.confidence[here]
     record["IoU"] = np.mean([_iou(true == region, own == region) for region in range(_REGIONS)])
-    record |= {"right": sure[true == own].mean(), "wrong": sure[true != own].mean()}
+    wrong = true != own
+    record |= {"right": sure[~wrong].mean(), "wrong": sure[wrong].mean() if wrong.any() else np.nan}
     return record | _vectors(carrier, there[five], here[five]) | {"texture": _texture(carrier)}
 
 
 def _vectors(carrier: Carrier, source: Ints, target: Ints) -> Record:
-    """Compare vectors away from some landmarks, all together: bodies that touch spoil those of one."""
+    """Compare vectors away from some landmarks: where a body touches itself, one says little."""
     angles = []
     for points in zip(source.tolist(), target.tolist(), strict=True):
         away, there = (
@@ -143,4 +146,5 @@ def _apart(points: Floats, truth: Floats, mesh: TriangleMesh) -> float:
 
 
 def _iou(one: Any, other: Any) -> float:
-    return float(np.sum(one & other) / max(np.sum(one | other), 1))
+    both, any_of_them = np.count_nonzero(one & other), np.count_nonzero(one | other)
+    return both / max(any_of_them, 1)
