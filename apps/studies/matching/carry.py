@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from spectra_kit import match, prepare
-from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.types import Bools, Floats, Ints
 from spectra_kit.errors import DoubtfulMatchWarning
 from spectra_kit.geodesics import FacePoint, exact_distances, farthest_point_sampling
 from spectra_kit.geometry import TriangleMesh
@@ -83,7 +83,8 @@ def carried(one: Subject, other: Subject) -> Record:
     regions = np.argmin([exact_distances(a, seed) for seed in seeds], axis=0)
     labels = carrier.labels(regions)
     true, own, sure = regions[there], labels.labels[here], labels.confidence[here]
-    record["IoU"] = np.mean([_iou(true == region, own == region) for region in range(_REGIONS)])
+    shares = [_iou(true == region, own == region) for region in range(_REGIONS)]
+    record["IoU"] = float(np.mean(shares))
     wrong = true != own
     record |= {"right": sure[~wrong].mean(), "wrong": sure[wrong].mean() if wrong.any() else np.nan}
     return record | _vectors(carrier, there[five], here[five]) | {"texture": _texture(carrier)}
@@ -145,6 +146,7 @@ def _apart(points: Floats, truth: Floats, mesh: TriangleMesh) -> float:
     return 100 * float(np.nanmean(away)) / mesh.area**0.5
 
 
-def _iou(one: Any, other: Any) -> float:
-    both, any_of_them = np.count_nonzero(one & other), np.count_nonzero(one | other)
-    return both / max(any_of_them, 1)
+def _iou(one: Bools, other: Bools) -> float:
+    """Return the points of both over those of either."""
+    either = int((one | other).sum())
+    return int((one & other).sum()) / max(either, 1)
