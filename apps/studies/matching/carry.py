@@ -10,7 +10,7 @@ lines between where a landmark is carried to and where it is, in hundredths of t
 *right* and *wrong* are the confidence of labels that are so. *Angle* is the median one between the
 carried gradient of the distance from a landmark and the gradient of the distance from where that
 is, of five landmarks; *undefined* the share of vectors that are not carried. *Texture* is how far
-coordinates are off that went there and back, in hundredths of the width of the texture; six charts
+coordinates are off, in the median, that went there and back, in hundredths of the width of the texture; six charts
 with seams.
 """
 
@@ -107,13 +107,13 @@ def _vectors(carrier: Carrier, source: Ints, target: Ints) -> Record:
 
 
 def _texture(carrier: Carrier) -> float:
-    """Return the mean distance of coordinates that go to the target and back, in hundredths."""
+    """Return the median distance of coordinates that go to the target and back, in hundredths."""
     coordinates, faces = _charts(carrier.source)
     there = carrier.texture(coordinates, faces)
     known = np.nan_to_num(there).reshape(-1, 2)
     again = carrier.back.texture(known, np.arange(len(known)).reshape(-1, 3))
     apart = np.linalg.norm(again - coordinates[faces], axis=2)
-    return 100 * float(np.nanmean(apart)) / float(np.ptp(coordinates, axis=0).max())
+    return 100 * float(np.nanmedian(apart)) / float(np.ptp(coordinates, axis=0).max())
 
 
 def _charts(mesh: Any) -> tuple[Floats, Ints]:
@@ -148,5 +148,4 @@ def _apart(points: Floats, truth: Floats, mesh: TriangleMesh) -> float:
 
 def _iou(one: Bools, other: Bools) -> float:
     """Return the points of both over those of either."""
-    either = int((one | other).sum())
-    return int((one & other).sum()) / max(either, 1)
+    return float((one & other).sum()) / max(float((one | other).sum()), 1.0)
