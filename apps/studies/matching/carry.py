@@ -10,8 +10,8 @@ lines between where a landmark is carried to and where it is, in hundredths of t
 *right* and *wrong* are the confidence of labels that are so. *Angle* is the median one between the
 carried gradient of the distance from a landmark and the gradient of the distance from where that
 is, of five landmarks; *undefined* the share of vectors that are not carried. *Texture* is how far
-coordinates are off, in the median, that went there and back, in hundredths of the width of the texture; six charts
-with seams.
+coordinates are off, in the median, that went there and back, in hundredths of the width of the
+texture; six charts with seams.
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ def _place(point: int | FacePoint | None, mesh: TriangleMesh) -> Floats:
 def _apart(points: Floats, truth: Floats, mesh: TriangleMesh) -> float:
     """Return the mean distance in hundredths of the root of the area."""
     away = np.linalg.norm(points - truth, axis=1)
-    return 100 * float(np.nanmean(away)) / mesh.area**0.5
+    return 100 * float(np.nanmean(away)) / float(np.sqrt(mesh.area))
 
 
 def _iou(one: Bools, other: Bools) -> float:
