@@ -48,7 +48,6 @@ _PIXELS = 9  # for each vertex of a surface with grey parts, whose colours blend
 _LEVELS = 14  # lines from one end of the colours to the other, about
 _TABLE, _GALLERY = 1.0, 1.4  # the wanted aspect of a page, width over height
 
-
 Lines = Literal["none", "nodal", "levels"]
 
 
@@ -136,14 +135,15 @@ def draw_panels(
     scenes = []
     kinds = groupby(panels, key=lambda p: (p.low is None, bool(np.isnan(p.values).any())))
     for (_, has_gaps), group in kinds:
-        some, lines = list(group), None
+        some, lines, drawn, normals = list(group), None, geometry, None
         if triangles is not None:
             lines = [level_lines(geometry.points, triangles, p.values, p.levels) for p in some]
-        drawn, functions, normals = geometry, [panel.scaled() for panel in some], None
+        scaled = [panel.scaled() for panel in some]
+        functions: Sequence[Floats] | Sequence[Bytes] = scaled
         if has_gaps:
-            table = np.column_stack(functions)
-            drawn, table, normals = refined(geometry, table, width * width // _PIXELS)
-            functions = [with_grey(p.colours(256), f) for p, f in zip(some, table.T, strict=True)]
+            every = np.column_stack(scaled)
+            drawn, every, normals = refined(geometry, every, width * width // _PIXELS)
+            functions = [with_grey(p.colours(256), f) for p, f in zip(some, every.T, strict=True)]
         scene = Scene(
             geometry=drawn,
             functions=functions,
