@@ -66,7 +66,7 @@ def __getattr__(name: str) -> _Any:
 
 # Where a name may be that is not here, the quick to import first; none imports torch.
 _ROOMS = ("errors", "eigen.subspaces", "eigen", "operators", "geometry", "geodesics", "features")
-_ROOMS += ("maps", "datasets", "show", "interop")
+_ROOMS += ("eigen.metrics", "maps", "datasets", "show", "interop")
 
 
 def _room(place: str) -> _Any:

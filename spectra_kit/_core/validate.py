@@ -29,14 +29,21 @@ def as_array(name: str, values: ArrayLike) -> NDArray[np.generic]:
 
 
 def real_array(
-    name: str, values: ArrayLike, *, advice: str = "", remedies: tuple[str, ...] = ()
+    name: str,
+    values: ArrayLike,
+    *,
+    some_nan: bool = False,
+    advice: str = "",
+    remedies: tuple[str, ...] = (),
 ) -> Floats:
-    """Return `values` as a finite C-ordered float64 array."""
+    """Return `values` as a finite C-ordered float64 array; `some_nan` may be NaN, but not all."""
     array = as_array(name, values)
     if array.dtype.kind not in "fiu":
         raise InvalidInputError(name, "hold real numbers", f"dtype {array.dtype}")
     floats = np.asarray(array, dtype=np.float64, order="C")
     bad = ~np.isfinite(floats)
+    if some_nan and not (unknown := np.isnan(floats)).all():
+        bad &= ~unknown
     if bad.any():
         first = tuple(int(i) for i in np.argwhere(bad)[0])
         raise InvalidInputError(

@@ -142,7 +142,7 @@ class Operator(Read, group="operator"):
     boundary: Literal["neumann", "dirichlet"] = "neumann"
     """of a mesh with a boundary"""
     mass: Literal["lumped", "consistent"] = "lumped"
-    """of linear elements: its row sums, or the matrix as it is"""
+    """areas of points, or linear elements' matrix: LaPy's, with --operator cotan"""
 
 
 @dataclass(frozen=True, kw_only=True)

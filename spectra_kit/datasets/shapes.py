@@ -248,6 +248,9 @@ def finished(store: SpectrumStore, one: FileRead, plan: Plan) -> Completed[Shape
         doubts += one.old.warnings
     certificate = spectrum.certificate
     assert certificate is not None  # `eigensolve` certifies
+    if (parts := certificate.n_components) > 1:
+        zero = quantity(certificate.n_zero_modes, "zero mode")
+        doubts.append(f"{parts:,} components: {zero} first, and other modes live on one or several")
     store.keep_shape(shape)  # where somebody has cleaned meanwhile
     descriptors: dict[str, str] = {
         kind: store.descriptor_key(key, kind) for kind in plan.descriptors

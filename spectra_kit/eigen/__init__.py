@@ -4,6 +4,7 @@ What is known of its modes stands in its `Certificate`, where they come from in 
 Eigensolvers are interchangeable, behind `eigensolve`.
 """
 
+from spectra_kit.eigen import metrics as metrics
 from spectra_kit.eigen.automatic import Automatic
 from spectra_kit.eigen.base import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.eigen.cascade import Cascade

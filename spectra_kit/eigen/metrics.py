@@ -17,18 +17,20 @@ from scipy import sparse
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats, Ints
-from spectra_kit._core.validate import check_count, check_indices, check_mass
+from spectra_kit._core.validate import check_count, check_indices, check_mass, quantity
+from spectra_kit._core.warn import warn
 from spectra_kit._sparse.host import Weights
 from spectra_kit._sparse.orthonormal import orthonormalize
 from spectra_kit._sparse.products import weighed
 from spectra_kit.eigen.spectrum import Spectrum
 from spectra_kit.eigen.subspaces.base import Subspace, restricted
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.operators.laplacian import Laplacian, split_mass
 
 # Moving one place in the order must win this much squared cosine: modes that nothing
 # resembles stay where they are.
 _MOVE_COST = 0.01
+_UNLIKE = 0.3  # cosine below which a mode says nothing of the template's; of a random map, 0.05
 _ORTHONORMAL = 1e-5  # modes further from it have errors that mean nothing; single precision fits
 
 
@@ -333,9 +335,27 @@ def align_modes(
 
 
 @checked
+@dataclass(frozen=True, eq=False)
+class Aligned(Rebuilt):
+    """Modes of a surface in the order, signs and rotations of a template's.
+
+    Parameters
+    ----------
+    eigenvectors : ndarray of shape (n, k)
+        M-orthonormal inside each cluster; in 1/length of the surface.
+    likeness : ndarray of shape (k,)
+        M-cosine of each with the template's mode carried over: 1 where both are one, 0 where they
+        have nothing to do with each other.
+    """
+
+    eigenvectors: Floats
+    likeness: Floats
+
+
+@checked
 def align_to_template(
     template: Spectrum, spectrum: Spectrum, point_map: ArrayLike, *, cluster_gap: float = 1e-2
-) -> Floats:
+) -> Aligned:
     """Modes of one surface of a cohort, paired, signed and rotated to look like a template's.
 
     What stands in column i of all surfaces then means the same: the modes of two subjects differ in
@@ -348,26 +368,39 @@ def align_to_template(
     spectrum : Spectrum
         Of the surface, on n2 points, k modes or more.
     point_map : array_like of int of shape (n2,)
-        The template's point of each point, as `Match.point_map` with the template for its source;
-        ``range(n2)`` where surfaces are registered to each other.
+        The template's point of each point: ``maps.nearest_rows(sphere, template_sphere)`` where
+        both have a registered sphere, `Match.point_map` with the template for its source, or
+        ``range(n2)`` of surfaces that share their vertices, as those resampled to fsaverage do.
     cluster_gap : float, default 1e-2
         Modes of the template are turned together where each is nearer to the next than that,
         relative to their eigenvalues: what comes back is then a mixture, and no eigenvector.
 
     Returns
     -------
-    ndarray of shape (n2, k)
-        M-orthonormal inside each cluster; in 1/length of the surface.
+    Aligned
+        The modes, and how like the template's each is.
+
+    Raises
+    ------
+    InvalidInputError
+        If the map is ``range(n2)``, n1 is another number, and most modes have no likeness: the
+        surfaces do not share their vertices then.
+
+    Warns
+    -----
+    DoubtfulMatchWarning
+        If modes have a likeness below 0.3: the map is wrong, or they differ between the surfaces.
 
     Examples
     --------
     >>> import numpy as np
     >>> import spectra_kit as sk
-    >>> from spectra_kit.eigen.metrics import align_to_template
     >>> s = sk.Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
-    >>> align_to_template(s, sk.Spectrum(s.eigenvalues, -s.eigenvectors, s.mass), [0, 1])
-    array([[1., 0.],
-           [0., 1.]])
+    >>> turned = sk.Spectrum(s.eigenvalues, -s.eigenvectors, s.mass)
+    >>> aligned = sk.eigen.metrics.align_to_template(s, turned, [0, 1])
+    >>> aligned.eigenvectors, aligned.likeness
+    (array([[1., 0.],
+           [0., 1.]]), array([1., 1.]))
     """
     from scipy.optimize import linear_sum_assignment  # slow to import
 
@@ -383,7 +416,27 @@ def align_to_template(
     _, match = linear_sum_assignment(_MOVE_COST * moved - cosines**2)
     starts = _cluster_starts(template, cluster_gap)
     clusters = tuple(zip(starts.tolist(), [*starts[1:].tolist(), k], strict=True))
-    return _rotate_within(clusters, spectrum._weights, pulled, spectrum.eigenvectors[:, match])
+    M = spectrum._weights
+    aligned = _rotate_within(clusters, M, pulled, spectrum.eigenvectors[:, match])
+    inner = np.einsum("nk,nk->k", weighed(M, pulled), aligned)
+    likeness = inner / np.sqrt(np.maximum(_squared_norm(pulled, M), np.finfo(float).tiny))
+    if len(unlike := np.flatnonzero(likeness < _UNLIKE)):
+        # Meshes that others are cut from, as fsaverage from fsaverage5, do share the first numbers.
+        is_range = template.n != spectrum.n and (places == np.arange(spectrum.n)).all()
+        if is_range and 2 * len(unlike) > k:
+            raise InvalidInputError(
+                "point_map",
+                "be the template's point of each point",
+                f"range({spectrum.n}), though the template has {template.n} and is not alike there",
+                advice="of registered spheres, maps.nearest_rows(sphere, template_sphere) makes it",
+            )
+        told = f"{quantity(len(unlike), 'mode')} of {k}, the first being mode {unlike[0]}"
+        warn(
+            f"{told}, have a likeness below {_UNLIKE:g} to the template's",
+            DoubtfulMatchWarning,
+            advice="if low modes are among them, the map is wrong; else take those before alone",
+        )
+    return Aligned(aligned, likeness)
 
 
 def _pair(

@@ -20,7 +20,8 @@ from spectra_kit._core.validate import (
     check_points,
     real_array,
 )
-from spectra_kit.errors import InvalidInputError
+from spectra_kit._core.warn import warn
+from spectra_kit.errors import InvalidInputError, SpectraKitWarning
 from spectra_kit.geometry.io import content_of
 from spectra_kit.geometry.polygons import Polygons, surface
 from spectra_kit.geometry.seams import divided, joined, seams
@@ -239,6 +240,11 @@ def restrict(geometry: Geometry, keep: Any) -> Repaired:
         The region, and index arrays in both directions: ``values[vertex_index]`` carries a function
         over, ``restore(modes)`` brings one back to all points, NaN elsewhere.
 
+    Warns
+    -----
+    SpectraKitWarning
+        If nothing is left out, as where a mask names a label that the file has under another name.
+
     Examples
     --------
     >>> import numpy as np
@@ -271,7 +277,9 @@ def restrict(geometry: Geometry, keep: Any) -> Repaired:
     region: Geometry = PointCloud(points)
     if isinstance(geometry, TriangleMesh):
         region = TriangleMesh(points, new_index[faces])
-    out = n - int(mask.sum())
+    if not (out := n - int(mask.sum())):
+        advice = "of labels, look at the names: the medial wall may be one of them"
+        warn(f"`keep` leaves out none of {n:,} points", SpectraKitWarning, advice=advice)
     report = RepairReport(masked_points=out, unreferenced_vertices=n - out - int(kept.sum()))
     return Repaired(region, report, np.flatnonzero(kept), new_index)
 

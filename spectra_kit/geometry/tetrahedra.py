@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +18,8 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import as_array, check_indices, check_points, quantity
 from spectra_kit._core.warn import warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
+from spectra_kit.geometry.formats import elements, vtk
+from spectra_kit.geometry.io import taken_of
 from spectra_kit.geometry.shapes import TriangleMesh, distinct_rows
 
 _BLOCK = 1 << 15
@@ -44,9 +48,8 @@ class BoundarySurface(NamedTuple):
 class TetrahedralMesh(Rebuilt):
     """A volume cut into tetrahedra.
 
-    Where one is asked for, ``(points, cells)``, a ``lapy.TetMesh``, a ``meshio.Mesh``, PyVista's
-    ``UnstructuredGrid`` and scikit-fem's ``MeshTet`` do as well. The constructor refuses NaN and
-    indices out of range, and keeps all else as it came.
+    Where one is asked for, whatever `of` takes does as well: a file, ``(points, cells)``. The
+    constructor refuses NaN and indices out of range, and keeps all else as it came.
 
     Parameters
     ----------
@@ -143,23 +146,68 @@ class TetrahedralMesh(Rebuilt):
         return order[starts], np.diff(np.append(starts, len(order))), faces
 
     @staticmethod
-    def _made_of(thing: Any) -> TetrahedralMesh:
-        """Make one of what others have. By their names: nothing is imported for it."""
+    def of(thing: Any) -> TetrahedralMesh:
+        """Make one of a file, or of what another library has.
+
+        Parameters
+        ----------
+        thing : path-like, or mesh of another library
+            A file of Gmsh (``.msh``), MEDIT (``.mesh``; both by the extra ``meshio``) or VTK
+            (``.vtk``, ``.vtu``); ``(points, cells)``, a ``lapy.TetMesh``, a ``meshio.Mesh``,
+            PyVista's ``UnstructuredGrid`` or scikit-fem's ``MeshTet``.
+
+        Returns
+        -------
+        TetrahedralMesh
+            The linear tetrahedra alone; an `IgnoredContentWarning` tells of other cells.
+
+        Raises
+        ------
+        InvalidFileError
+            If the file is not there, damaged, of another format, or without linear tetrahedra.
+
+        Examples
+        --------
+        >>> from spectra_kit.geometry import TetrahedralMesh
+        >>> points = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [9, 9, 9]]
+        >>> TetrahedralMesh.of((points, [[0, 1, 2, 3]])).without_unreferenced().n
+        4
+        """
+        if isinstance(thing, TetrahedralMesh):
+            return thing
+        if isinstance(thing, str | os.PathLike):
+            return taken_of(Path(thing), _of_file)
         if isinstance(thing, tuple | list) and len(thing) == 2:
             return TetrahedralMesh(*thing)
         if hasattr(thing, "v") and hasattr(thing, "t"):  # of LaPy
             return TetrahedralMesh(thing.v, thing.t)
         if hasattr(thing, "p") and hasattr(thing, "t"):  # of scikit-fem, by columns
             return TetrahedralMesh(thing.p.T, thing.t.T)
-        # Of meshio by words, of PyVista by VTK's numbers.
+        # By names, nothing is imported: of meshio by words, of PyVista by VTK's numbers.
         kinds = {str(kind): cells for kind, cells in getattr(thing, "cells_dict", {}).items()}
         cells = kinds.pop("tetra", kinds.pop("10", None))
         if cells is None:
-            advice = "(points, cells) make one, and what has linear tetrahedra"
+            advice = "(points, cells), files and meshes of linear tetrahedra make one"
             raise InvalidInputError("thing", "be a TetrahedralMesh", advice=advice)
         if n := sum(map(len, kinds.values())):
             warn(f"passed over {quantity(n, 'cell')} beside the tetrahedra", IgnoredContentWarning)
         return TetrahedralMesh(thing.points, cells)
+
+    _made_of = of
+
+
+def _of_file(path: Path) -> TetrahedralMesh:
+    suffix = path.suffix.lower()
+    if suffix not in (*elements.MODULES, ".vtk", ".vtu"):
+        problem = f"of {suffix!r} no tetrahedra are read; known are .msh, .mesh, .vtk and .vtu"
+        raise InvalidInputError(problem, advice="hand over meshio.read(path)")
+    thing = (elements.mesh_of if suffix in elements.MODULES else vtk.object_of)(path)
+    try:
+        return TetrahedralMesh.of(thing)
+    except InvalidInputError as error:
+        if error.argument != "thing":
+            raise
+        raise InvalidInputError("holds no linear tetrahedra") from error
 
 
 def scaled_sides(mesh: TetrahedralMesh) -> Iterator[tuple[slice, Floats, NDArray[np.int32]]]:

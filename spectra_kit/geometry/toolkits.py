@@ -19,6 +19,7 @@ from spectra_kit.geometry.formats._arrays import Arrays, bands
 from spectra_kit.geometry.polygons import Polygons
 
 _CURVES = "curves are no surface; its {}, an array, make a cloud"
+_RIGID = 1e-3  # of the squares of lengths, for matrices written in few digits
 _VERTICES, _LINES, _FACES = (1, 2), (3, 4), (5, 7, 9)  # cells of VTK; 0 is nothing
 
 
@@ -115,6 +116,14 @@ def _of_nibabel(thing: Any) -> Arrays:
     points, faces = (thing.agg_data(kind) for kind in ("pointset", "triangle"))
     if np.ndim(points) != 2 or np.ndim(faces) != 2:
         raise refused(thing, "it holds no surface, which is one point set and its triangles")
+    frame = thing.get_arrays_from_intent("NIFTI_INTENT_POINTSET")[0].coordsys
+    turn = np.eye(3) if frame is None else np.asarray(frame.xform, float)[:3, :3]
+    if not np.allclose(turn.T @ turn, np.eye(3), atol=_RIGID):
+        warn(
+            "passed over a matrix to other coordinates, which changes lengths",
+            IgnoredContentWarning,
+            advice="if they are meant, take points @ matrix[:3, :3].T + matrix[:3, 3]",
+        )
     return points, faces
 
 

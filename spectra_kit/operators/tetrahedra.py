@@ -34,8 +34,9 @@ def tetrahedral_laplacian(
 
     Parameters
     ----------
-    mesh : TetrahedralMesh
-        Without unreferenced vertices, flat and repeated cells; of any orientation.
+    mesh : TetrahedralMesh, path-like, or mesh of another library
+        As `TetrahedralMesh.of` takes it, without unreferenced vertices, flat and repeated cells; of
+        any orientation.
     mass : {"lumped", "consistent"}, default "lumped"
         A quarter of each cell to each of its corners, which approximates eigenvalues from below as
         a rule; or the integrals of products, with which they are bounds from above.
@@ -128,14 +129,14 @@ def _check_usable(mesh: TetrahedralMesh) -> None:
             "mesh",
             "have a cell at every vertex",
             f"{quantity(unused.sum(), 'unused vertex')} (the first is {np.argmax(unused)})",
-            advice="drop them with mesh.without_unreferenced()",
+            advice="drop them with TetrahedralMesh.of(mesh).without_unreferenced()",
         )
     if (flat := mesh.degenerate_cells()).any():
         raise InvalidInputError(
             "mesh",
             "have cells that enclose a volume, each once",
             f"{quantity(flat.sum(), 'flat or repeated cell')} (the first is {np.argmax(flat)})",
-            advice="drop them with mesh.without_degenerate_cells()",
+            advice="drop them with TetrahedralMesh.of(mesh).without_degenerate_cells()",
         )
     if many := int((mesh._faces[1] > 2).sum()):
         expected, got = "have faces of one cell or two", f"{quantity(many, 'face')} of more"

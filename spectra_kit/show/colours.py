@@ -101,6 +101,14 @@ def error_colours(errors: Floats, limit: float) -> Bytes:
     return colours
 
 
+def with_grey(colours: Bytes, values: Floats) -> Bytes:
+    """Colour values (n,) in [-1, 1] by the colours (c, 3) between; grey where NaN."""
+    at = np.clip((np.nan_to_num(values) + 1) / 2, 0.0, 1.0) * (len(colours) - 1)
+    found = colours[np.round(at).astype(np.int64)]
+    found[np.isnan(values)] = UNKNOWN
+    return found
+
+
 def _mapped(name: str, part: Floats) -> Bytes:
     """Colours (n, 3) of Matplotlib at a part (n,) of the way through them."""
     import_matplotlib()

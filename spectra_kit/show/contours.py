@@ -52,9 +52,12 @@ def level_lines(
     """Return the segments (s, 2, 3) along which a function (n,) takes one of the levels.
 
     A line separates what is clearly above from what is clearly below: the rounding errors of a
-    function that vanishes somewhere, or of a constant one, make none.
+    function that vanishes somewhere, or of a constant one, make none. Nor does NaN.
     """
     flat = 0.0
+    if (unknown := np.isnan(values)).any():
+        triangles = triangles[~unknown[triangles].any(axis=1)]
+        values = np.where(unknown, np.nanmedian(values), values)
     if values.size:
         spread = np.ptp(np.percentile(values, [1, 99])) or np.ptp(values)  # spikes count less
         flat = float(_PLATEAU * spread + _ROUNDING * np.abs(values).max())

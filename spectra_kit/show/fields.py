@@ -16,7 +16,7 @@ from spectra_kit._core.validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.show.camera import View
-from spectra_kit.show.colours import diverging_colours, sequential_colours
+from spectra_kit.show.colours import diverging_colours, refined, sequential_colours, with_grey
 from spectra_kit.show.contours import level_lines, round_number, triangles_of
 from spectra_kit.show.layout import (
     BAR,
@@ -44,9 +44,9 @@ _CONSTANT = 1e-12  # of the values: smaller differences are rounding
 _WIDTH, _WIDEST_CELL = 11.0, 4.5  # inches
 _TALLEST = 2.2  # pictures, height over cell width
 _EMPTY = 0.5  # what a place left empty counts against a misfit of the page
+_PIXELS = 9  # for each vertex of a surface with grey parts, whose colours blend between vertices
 _LEVELS = 14  # lines from one end of the colours to the other, about
 _TABLE, _GALLERY = 1.0, 1.4  # the wanted aspect of a page, width over height
-
 
 Lines = Literal["none", "nodal", "levels"]
 
@@ -59,7 +59,7 @@ class Panel:
     Attributes
     ----------
     values : ndarray of shape (n,)
-        One value per point.
+        One value per point; NaN, drawn grey, where there is none.
     limit : float
         The colours run from -limit to +limit, white at zero; or from `low`, if it is given. Where
         that is the limit, too, there is one value, and one colour.
@@ -81,7 +81,7 @@ class Panel:
         """The values, -1 at one end of the colours and 1 at the other."""
         low = -self.limit if self.low is None else self.low
         if low == self.limit:
-            return np.zeros_like(self.values)
+            return 0.0 * self.values
         return 2 * (self.values - low) / (self.limit - low) - 1
 
     def ends(self) -> tuple[str, str]:
@@ -129,20 +129,28 @@ def draw_panels(
 ) -> list[Bytes]:
     """Return the pictures of panels, `width` pixels each, seen from one side."""
     for panel in panels:
-        if real_array("values", panel.values).shape != (geometry.n,):
+        if real_array("values", panel.values, some_nan=True).shape != (geometry.n,):
             raise InvalidInputError("values", f"have shape ({geometry.n},)", np.shape(panel.values))
     triangles = triangles_of(geometry) if any(panel.levels for panel in panels) else None
     scenes = []
-    for _, group in groupby(panels, key=lambda panel: panel.low is None):  # of one kind of colours
-        some, lines = list(group), None
+    kinds = groupby(panels, key=lambda p: (p.low is None, bool(np.isnan(p.values).any())))
+    for (_, has_gaps), group in kinds:
+        some, lines, drawn, normals = list(group), None, geometry, None
         if triangles is not None:
             lines = [level_lines(geometry.points, triangles, p.values, p.levels) for p in some]
+        scaled = [panel.scaled() for panel in some]
+        functions: Sequence[Floats] | Sequence[Bytes] = scaled
+        if has_gaps:
+            every = np.column_stack(scaled)
+            drawn, every, normals = refined(geometry, every, width * width // _PIXELS)
+            functions = [with_grey(p.colours(256), f) for p, f in zip(some, every.T, strict=True)]
         scene = Scene(
-            geometry=geometry,
-            functions=[panel.scaled() for panel in some],
+            geometry=drawn,
+            functions=functions,
             rotation=rotation,
             width=width,
-            colours=some[0].colours(256),
+            colours=None if has_gaps else some[0].colours(256),
+            normals=normals,
             lines=lines,
             line_width=LINE_WIDTH * dpi / 72,
         )
@@ -222,7 +230,8 @@ def plot_fields(
     ----------
     $geometry
     fields : mapping of str to array_like of shape (n,), or sequence of such pairs
-        What to write above each picture, and one finite value for each point.
+        What to write above each picture, and one value for each point; NaN, drawn grey, where
+        there is none, as `Repaired.restore` has it.
     $path
     $view
     $page
@@ -264,8 +273,7 @@ def plot_fields(
         )
     if not pairs:
         raise InvalidInputError("fields", "hold at least one function", "none")
-    unknown = "numpy.nan_to_num(values) draws what is not known as zero"
-    named = [(name, real_array(f"fields[{name!r}]", f, advice=unknown)) for name, f in pairs]
+    named = [(name, real_array(f"fields[{name!r}]", f, some_nan=True)) for name, f in pairs]
     for name, values in named:
         if values.shape != (geometry.n,):
             expected = f"have shape ({geometry.n},), one value for each point"
@@ -279,6 +287,7 @@ def _panel(
     name: str, values: Floats, together: list[Floats], symmetric: bool | None, lines: Lines
 ) -> Panel:
     """One field, in colours that fit all of `together`."""
+    together = [f[~np.isnan(f)] for f in together]
     if symmetric is None:
         symmetric = any(bool((f < 0).any()) for f in together)
     low: float | None
@@ -291,7 +300,7 @@ def _panel(
     if lines == "levels" and start < high:
         step = round_number((high - start) / _LEVELS)
         # Not beyond the colours: a lone spike would have more lines than anything else.
-        first, last = max(start, values.min()) / step, min(high, values.max()) / step
+        first, last = max(start, np.nanmin(values)) / step, min(high, np.nanmax(values)) / step
         levels = tuple(step * np.arange(np.ceil(first), np.floor(last) + 1))
     return Panel(values=values, limit=high, lines=(name,), low=low, levels=levels)
 

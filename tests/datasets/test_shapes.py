@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from conftest import bumpy, creature, moved, refused
+from conftest import bumpy, creature, joined, moved, refused
 
 import spectra_kit as sk
 from spectra_kit._core.fingerprint import BLANK, sealed
@@ -578,3 +578,21 @@ def test_what_is_damaged_is_told_by_those_that_go_together(store, tmp_path, monk
     assert not done.computed
     assert [str(path) in text for text in done.replaced] == [True]
     assert store.shape(kept.shape).n == 520
+
+
+def test_several_components_are_told_in_the_table(tmp_path):
+    """Two balls have two zero modes; ShapeDNA begins behind them, at the 2 of a unit ball."""
+    ball = sk.geometry.sphere(subdivisions=3).geometry
+    for name, mesh in (
+        ("one", ball),
+        ("two", joined(ball, ball.with_points(ball.points + [3, 0, 0]))),
+    ):
+        sk.write(mesh, tmp_path / f"{name}.off")
+    plan = Plan(k=6, descriptors=("dna",))
+    inputs = find_inputs([tmp_path])
+    report = compute_all(inputs, SpectrumStore(tmp_path / "store"), plan)
+    one, two = (done.record for _, done in report.completed)
+    assert not one.warnings
+    assert two.warnings[0].startswith("2 components: 2 zero modes first")
+    assert two.eigenvalues[1] == pytest.approx(0, abs=1e-9)
+    assert two.dna[0] == pytest.approx(2 * two.area, rel=0.02)

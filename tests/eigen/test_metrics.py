@@ -1,3 +1,5 @@
+import warnings
+
 import numpy as np
 import pytest
 from conftest import joined, refused, two_parts
@@ -14,7 +16,7 @@ from spectra_kit.eigen.metrics import (
     subspace_span_error,
 )
 from spectra_kit.eigen.subspaces import AmbientFourier, GivenBasis
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.geometry import TriangleMesh, sphere
 
 N, K = 60, 12
@@ -251,6 +253,42 @@ def test_modes_of_a_cohort_are_those_of_the_template():
     for solver in (sk.Lanczos(seed=5), sk.Arpack(seed=2)):
         spectrum = sk.eigensolve(sk.robust_laplacian(subject), 20, solver)
         found = align_to_template(template, spectrum, order)
-        assert found == pytest.approx(template.eigenvectors[order] / 7, abs=1e-6)
+        assert found.eigenvectors == pytest.approx(template.eigenvectors[order] / 7, abs=1e-6)
+        assert found.likeness == pytest.approx(np.ones(16))
     refused("template", "have no more modes", align_to_template, spectrum, template, place)
     refused("point_map", "have shape", align_to_template, template, spectrum, order[:5])
+
+
+def test_likeness_tells_a_right_map_from_a_wrong_one():
+    """Two samplings of one ellipsoid: nearest on the spheres is right, chance and one point not."""
+    spheres = [sk.geometry.sphere(subdivisions=k).geometry for k in (3, 4)]
+    template, subject = (
+        sk.spectrum(sk.TriangleMesh(ball.points * [1.0, 1.3, 1.7], ball.faces), 20)
+        for ball in spheres
+    )
+    template = template.truncate(12)
+    right = sk.maps.nearest_rows(spheres[1].points, spheres[0].points)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        aligned = align_to_template(template, subject, right)
+    assert aligned.likeness.min() > 0.97
+    carried = template.eigenvectors[right]
+    correlation = [np.corrcoef(carried[:, i], aligned.eigenvectors[:, i])[0, 1] for i in (1, 5, 9)]
+    assert aligned.likeness[[1, 5, 9]] == pytest.approx(correlation, abs=0.01)
+    for wrong in (np.random.default_rng(0).integers(0, template.n, subject.n), 0 * right):
+        with pytest.warns(DoubtfulMatchWarning, match="11 modes of 12, the first being mode [01],"):
+            likeness = align_to_template(template, subject, wrong).likeness
+        assert np.sort(likeness)[-2] < 0.1
+
+
+def test_numbers_of_vertices_are_a_map_where_they_are_shared_alone():
+    """The first 642 vertices of a ball are those that it was cut from; shuffled, they are any."""
+    coarse, fine = (sk.geometry.sphere(subdivisions=k).geometry for k in (3, 4))
+    axes, order = np.array([1.0, 1.3, 1.7]), np.random.default_rng(0).permutation(fine.n)
+    subject = sk.spectrum(sk.TriangleMesh(axes * coarse.points, coarse.faces), 12)
+    template = sk.spectrum(sk.TriangleMesh(axes * fine.points, fine.faces), 9)
+    assert align_to_template(template, subject, range(642)).likeness.min() > 0.97
+    shuffled = sk.TriangleMesh(axes * fine.points[order], np.argsort(order)[fine.faces])
+    expected = "be the template's point of each point, got range(642), though the template has 2562"
+    template = sk.spectrum(shuffled, 9)
+    refused("point_map", expected, align_to_template, template, subject, range(642))

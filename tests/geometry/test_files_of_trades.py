@@ -359,3 +359,28 @@ def test_one_triangle_in_every_format(tmp_path):
     for suffix in (".gii", ".vtk", ".vtp"):
         write(one, tmp_path / f"a{suffix}")
         assert read(tmp_path / f"a{suffix}").area == 0.5
+
+
+def with_matrix(path, matrix):
+    nibabel = pytest.importorskip("nibabel")
+    frame = nibabel.gifti.GiftiCoordSystem(xform=matrix)
+    points = nibabel.gifti.GiftiDataArray(V.astype("f4"), "NIFTI_INTENT_POINTSET", coordsys=frame)
+    faces = nibabel.gifti.GiftiDataArray(F.astype("i4"), "NIFTI_INTENT_TRIANGLE")
+    nibabel.save(nibabel.gifti.GiftiImage(darrays=[points, faces]), path)
+
+
+def test_matrices_of_gifti_that_change_lengths_are_told(tmp_path):
+    """Turned, mirrored and moved, a surface has the same modes; scaled or sheared it has not."""
+    path, matrix = tmp_path / "a.surf.gii", np.eye(4)
+    matrix[:3, :3] = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
+    matrix[:3, 3] = 5, -12, 8
+    for rigid in (np.eye(4), matrix, matrix.round(5), np.diag([-1.0, 1, 1, 1])):
+        with_matrix(path, rigid)
+        is_ball(path)
+    shear = np.eye(4)
+    shear[0, 1] = 0.1
+    for other in (np.diag([1000.0, 1000, 1000, 1]), shear):
+        with_matrix(path, other)
+        told = r"a\.surf\.gii: passed over a matrix .* points @ matrix"
+        with pytest.warns(IgnoredContentWarning, match=told):
+            is_ball(path)

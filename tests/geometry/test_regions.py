@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spectra_kit import Dense, cotan_laplacian, eigensolve
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import InvalidInputError, SpectraKitWarning
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, restrict, sphere
 
 BALL = sphere(subdivisions=3).geometry
@@ -44,8 +44,9 @@ def test_indices_lead_both_ways():
     assert region.report.unreferenced_vertices == 0
 
 
-def test_everything_is_itself():
-    region = restrict(BALL, np.ones(BALL.n, bool))
+def test_everything_is_itself_and_told_of():
+    with pytest.warns(SpectraKitWarning, match="`keep` leaves out none of 642 points; of labels"):
+        region = restrict(BALL, np.ones(BALL.n, bool))
     np.testing.assert_array_equal(region.geometry.faces, BALL.faces)
     np.testing.assert_array_equal(region.vertex_index, np.arange(BALL.n))
 

@@ -1,5 +1,8 @@
 """Volumes: spectra of ball and box, agreement with others, laws, the surface, what is refused."""
 
+import gzip
+from pathlib import Path
+
 import numpy as np
 import pytest
 from conftest import refused
@@ -9,7 +12,7 @@ from volumes import ball, ball_eigenvalues, box, box_eigenvalues
 
 import spectra_kit as sk
 from spectra_kit.eigen.run import Units
-from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
+from spectra_kit.errors import IgnoredContentWarning, InvalidFileError, InvalidInputError
 from spectra_kit.geometry import TetrahedralMesh
 from spectra_kit.operators import tetrahedral_laplacian
 from spectra_kit.operators.tetrahedra import matrices
@@ -211,7 +214,7 @@ def test_the_meshes_of_others_are_taken() -> None:
 
 
 CORNERS = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [2, 2, 2]]
-TAKEN = "(points, cells) make one, and what has linear tetrahedra"
+TAKEN = "(points, cells), files and meshes of linear tetrahedra make one"
 
 
 @pytest.mark.parametrize(
@@ -259,11 +262,51 @@ def test_what_has_no_operator_is_refused(
     assert caught.value.expected.startswith(expected)
     assert str(caught.value.got).startswith(got)
     if remedy:  # which does mend it
-        assert f"drop them with mesh.without_{remedy}()" in str(caught.value)
-        mended = getattr(mesh, f"without_{remedy}")()
+        assert f"drop them with TetrahedralMesh.of(mesh).without_{remedy}()" in str(caught.value)
+        mended = getattr(TetrahedralMesh.of(mesh), f"without_{remedy}")()
         tetrahedral_laplacian(mended.without_unreferenced())
     else:
         assert caught.value.advice
+
+
+@pytest.mark.parametrize("name", ["a.msh", "old.msh", "a.mesh", "a.vtk", "a.vtu", "a.mesh.gz"])
+def test_a_file_is_the_volume_that_it_holds(tmp_path: Path, name: str) -> None:
+    """As meshio writes it, with a point that no cell uses, as Gmsh leaves those of its drawings."""
+    meshio = pytest.importorskip("meshio")
+    volume = boxes(2)
+    points = np.vstack([volume.points, [9.0, 9, 9]])
+    path = tmp_path / name.removesuffix(".gz")
+    form = {"a.msh": "gmsh", "old.msh": "gmsh22", "a.mesh": "medit"}.get(path.name)
+    meshio.Mesh(points, [("tetra", volume.cells)]).write(path, file_format=form)
+    if name.endswith(".gz"):
+        path = tmp_path / name
+        path.write_bytes(gzip.compress(path.with_suffix("").read_bytes()))
+    found = TetrahedralMesh.of(path)
+    np.testing.assert_allclose(found.points, points)
+    np.testing.assert_array_equal(found.cells, volume.cells)
+    with pytest.raises(InvalidInputError, match=r"TetrahedralMesh\.of\(mesh\)\.without_unref"):
+        tetrahedral_laplacian(path)
+    meshio.Mesh(volume.points, [("tetra", volume.cells)]).write(path.with_name("b.vtu"))
+    laplacian = tetrahedral_laplacian(path.with_name("b.vtu"))
+    assert laplacian.area == pytest.approx(volume.volume)
+
+
+def test_files_without_tetrahedra_are_refused(tmp_path: Path) -> None:
+    meshio = pytest.importorskip("meshio")
+    ball = sk.geometry.sphere(subdivisions=1).geometry
+    triangles, mixed = ("triangle", ball.faces), ("tetra", [[0, 1, 2, 3]])
+    meshio.Mesh(ball.points, [triangles]).write(tmp_path / "a.vtu")
+    sk.write(ball, tmp_path / "a.off")
+    for name, told in (
+        ("a.vtu", "holds no linear tetrahedra"),
+        ("a.off", r"of '\.off' no tetrahedra are read"),
+        ("b.msh", "there is no such file"),
+    ):
+        with pytest.raises(InvalidFileError, match=rf"{name}.*{told}"):
+            TetrahedralMesh.of(tmp_path / name)
+    meshio.Mesh(ball.points, [triangles, mixed]).write(tmp_path / "c.vtu")
+    with pytest.warns(IgnoredContentWarning, match=r"c\.vtu: passed over 80 cells beside"):
+        assert len(TetrahedralMesh.of(tmp_path / "c.vtu").cells) == 1
 
 
 def test_arrays_that_are_no_volume_are_refused() -> None:

@@ -65,6 +65,11 @@ def test_a_run_over_shapes_does_not_wait_for_what_matches_them() -> None:
     assert done.stdout == "True False\n", done.stderr
 
 
+def test_metrics_are_there_without_an_import() -> None:
+    done = run("import spectra_kit as sk; print(sk.eigen.metrics.align_modes.__name__)")
+    assert done.stdout == "align_modes\n", done.stderr
+
+
 def test_every_name_is_there() -> None:
     for name in dir(sk):
         assert getattr(sk, name) is not None
@@ -76,6 +81,7 @@ def test_every_name_is_there() -> None:
         "ConvergenceError": "errors.ConvergenceError",
         "GivenBasis": "eigen.subspaces.GivenBasis",
         "Plan": "datasets.Plan",
+        "align_to_template": "eigen.metrics.align_to_template",
     }.items():
         with pytest.raises(AttributeError, match=rf"did you mean sk\.{place}\b"):
             getattr(sk, name)

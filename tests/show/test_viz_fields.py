@@ -398,3 +398,28 @@ def test_modes_look_the_same_in_galleries_and_comparisons():
         for side in (left, right):
             np.testing.assert_allclose(side.values, shown)
         assert shown.max() > (1 - 1e-5) * -shown.min()
+
+
+def test_lines_end_where_a_function_is_not_known():
+    """Cut off at z = 0, the zeros of x lie on the upper half alone, where they were."""
+    x, z = BALL.points[:, 0], BALL.points[:, 2]
+    whole = level_lines(BALL.points, BALL.faces, x)
+    half = level_lines(BALL.points, BALL.faces, np.where(z < 0, np.nan, x))
+    assert np.isfinite(half).all()
+    assert (half[..., 2] >= 0).all()
+    length = [np.linalg.norm(line[:, 0] - line[:, 1], axis=1).sum() for line in (whole, half)]
+    assert 0.35 < length[1] / length[0] <= 0.5
+
+
+def test_what_is_not_known_is_grey(tmp_path):
+    """The left half of a sheet has no values; the right one has the colours it had."""
+    sheet = rectangle(n=900).geometry
+    right = sheet.points[:, 0] > np.median(sheet.points[:, 0])
+    pictures = []
+    for values in (sheet.points[:, 1] - 0.5, np.where(right, sheet.points[:, 1] - 0.5, np.nan)):
+        plot_fields(sheet, {"y": values}, path=tmp_path / "y.png", view=View("z"))
+        pictures.append(page(tmp_path / "y.png"))
+    whole, half = pictures
+    changed = np.abs(half - whole).max(axis=2) > 20
+    assert changed.sum() / (half.min(axis=2) < 250).sum() == pytest.approx(0.5, abs=0.06)
+    assert np.percentile(np.ptp(half, axis=2)[changed], 95) == 0

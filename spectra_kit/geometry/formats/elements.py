@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 from spectra_kit._core.optional import optional
 from spectra_kit.errors import InvalidInputError
@@ -17,7 +18,13 @@ _COUNTS = re.compile(rb"^(?:\$?[A-Z][A-Za-z]+)\s+(\d+)(?:[ \t]+(\d+))?", re.MULT
 
 
 def read(path: Path) -> Arrays:
-    """Return the points, and the triangles, quads and polygons.
+    """Return the points, and the triangles, quads and polygons."""
+    thing = mesh_of(path)
+    return held_by(thing, "meshio.read(path)", is_bare=not thing.cells)
+
+
+def mesh_of(path: Path) -> Any:
+    """Return a file as meshio has it.
 
     What a file announces is what meshio makes room for, and waits for, however short it is.
     """
@@ -35,5 +42,4 @@ def read(path: Path) -> Arrays:
     # By its module: `meshio.read` ends the process where it fails.
     module = getattr(meshio, MODULES[suffix])
     with read_by("meshio", meshio.ReadError):
-        thing = module.read(str(path))
-    return held_by(thing, "meshio.read(path)", is_bare=not thing.cells)
+        return module.read(str(path))

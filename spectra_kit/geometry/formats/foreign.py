@@ -37,16 +37,19 @@ _WORDS = {
     "it holds curved surfaces, of which gmsh makes triangles: gmsh -2 FILE -o mesh.stl": (
         ".step .stp .iges .igs .brep"
     ),
+    "of values at vertices, geometry.read_overlay(path) reads them; of an image of labels,"
+    " geometry.from_labels(image) makes a surface of each": ".mgz .mgh",
     "it holds an image; if of labels, geometry.from_labels(image) makes a surface of each": (
-        ".nii .mgz .mgh .nrrd .tif .tiff .dcm .mha .mhd .vti"
+        ".nii .nrrd .tif .tiff .dcm .mha .mhd .vti"
     ),
     "it holds values at the vertices of a surface: geometry.read_overlay(path)": (
-        ".annot .curv .sulc .thickness .area"
+        ".annot .curv .label .sulc .thickness .area"
     ),
     "unpack it first": ".zip .tar .tgz .7z .rar .zst",
 }
 _ANYTHING = (
-    ".annot .area .curv .sulc .thickness .mat .dat .tsv .tif .tiff .zip .tar .tgz .7z .rar .zst"
+    ".annot .area .curv .label .sulc .thickness .mat .dat .tsv .tif .tiff .zip .tar .tgz .7z .rar"
+    " .zst"
 )
 
 

@@ -6,6 +6,7 @@ import base64
 import re
 import zlib
 from collections.abc import Mapping
+from colorsys import hsv_to_rgb
 from pathlib import Path
 from typing import Any
 from xml.parsers.expat import ExpatError
@@ -50,8 +51,13 @@ def write(mesh: TriangleMesh, path: Path, fields: Mapping[str, Any] | None = Non
     save(path, {"NIFTI_INTENT_POINTSET": mesh.points, "NIFTI_INTENT_TRIANGLE": mesh.faces}, fields)
 
 
-def save(path: Path, parts: Mapping[str, Any], fields: Mapping[str, Any] | None = None) -> None:
-    """Write arrays by their intent, and behind them those that have a name."""
+def save(
+    path: Path,
+    parts: Mapping[str, Any],
+    fields: Mapping[str, Any] | None = None,
+    labels: Mapping[int, str] | None = None,
+) -> None:
+    """Write arrays by their intent, and behind them those that have a name: of `labels`, or any."""
     gifti = optional("nibabel", extra="brain", needed_by="writing GIfTI").gifti
 
     def array(values: Any, intent: str, **meta: str) -> Any:
@@ -65,7 +71,12 @@ def save(path: Path, parts: Mapping[str, Any], fields: Mapping[str, Any] | None 
         )
 
     arrays = [array(values, intent) for intent, values in parts.items()]
-    arrays += [
-        array(values, "NIFTI_INTENT_SHAPE", Name=name) for name, values in (fields or {}).items()
-    ]
-    path.write_bytes(gifti.GiftiImage(darrays=arrays).to_bytes())
+    intent = "NIFTI_INTENT_SHAPE" if labels is None else "NIFTI_INTENT_LABEL"
+    arrays += [array(values, intent, Name=name) for name, values in (fields or {}).items()]
+    table = gifti.GiftiLabelTable()
+    for key, name in (labels or {}).items():
+        # Hues a golden section apart stay distinct, however many; what has no label is clear.
+        colour = hsv_to_rgb(key * 0.618034 % 1, 0.6, 0.9)
+        table.labels.append(gifti.GiftiLabel(key, *colour, alpha=float(key >= 0)))
+        table.labels[-1].label = name
+    path.write_bytes(gifti.GiftiImage(darrays=arrays, labeltable=table).to_bytes())

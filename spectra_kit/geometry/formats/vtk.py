@@ -27,7 +27,13 @@ _SMALLEST = 4  # bytes of what is counted, once unpacked
 
 
 def read(path: Path) -> Arrays:
-    """Return vertices and faces of a PolyData, or of a grid whose cells are flat.
+    """Return vertices and faces of a PolyData, or of a grid whose cells are flat."""
+    thing = object_of(path)
+    return held_by(thing, "pyvista.read(path)", is_bare=not thing.n_cells)
+
+
+def object_of(path: Path) -> Any:
+    """Return a file as PyVista has it.
 
     VTK makes room for what a file announces, and dies of strange headers, before it says a word.
     """
@@ -46,7 +52,7 @@ def read(path: Path) -> Arrays:
         raise InvalidInputError(
             f"counts {quantity(held, 'corner')} of cells in {ends:,}; it may be damaged"
         )
-    return held_by(thing, "pyvista.read(path)", is_bare=not thing.n_cells)
+    return thing
 
 
 def _n_corners(thing: Any) -> int:
