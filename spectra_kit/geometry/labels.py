@@ -16,6 +16,7 @@ from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import as_array, positive_array, quantity, real_array
 from spectra_kit._core.warn import warn
 from spectra_kit.errors import InvalidInputError, SplitSurfaceWarning
+from spectra_kit.geometry.diagnose import enclosed
 from spectra_kit.geometry.shapes import TriangleMesh, distinct_rows
 
 _STEPS, _PASS = 30, 0.07  # of Taubin's filter: fewer leave stairs of voxels, more take small parts
@@ -137,7 +138,7 @@ def from_labels(
         is_turned = (sides[is_side, 0] != i)[:, None]
         own = np.where(is_turned, faces[is_side][:, ::-1], faces[is_side])
         used, own = np.unique(own, return_inverse=True)
-        is_smooth = abs(_enclosed(smooth[used], own) - counts[i]) <= _LOST * counts[i]
+        is_smooth = abs(enclosed(smooth[used], own) - counts[i]) <= _LOST * counts[i]
         points = (smooth if is_smooth else stairs)[used] + corner
         mesh = TriangleMesh(
             points @ affine[:3, :3].T + affine[:3, 3], own if scale > 0 else own[:, ::-1]
@@ -156,10 +157,6 @@ def from_labels(
             remedies=("geometry.largest_component(cell.geometry)",),
         )
     return found
-
-
-def _enclosed(points: Floats, faces: NDArray[Any]) -> float:
-    return float(np.linalg.det((points - points[0])[faces]).sum() / 6)
 
 
 def _voxels(image: Any, spacing: Any) -> tuple[NDArray[Any], Floats]:
