@@ -93,9 +93,9 @@ def from_labels(
     are smoothed by Taubin's filter [2]_, which keeps volumes: the longer, the more the spacings
     differ, or steps along the coarsest would stay. Where a label meets the border of the image it
     is closed there. Edges are rounded by about a voxel. Counted in voxels of the coarsest axis,
-    areas of balls of 6 in radius and more are within about 1 % of those of balls of the same volume,
-    whose sides may differ ten times. Those of 3 are within 3 %, enclose up to 6 % less than their
-    voxels, or keep their stairs.
+    whose spacing may be ten times the others', areas of balls of 6 in radius and more are within
+    about 1 % of those of balls of the same volume. Those of 3 are within 3 %, enclose up to 6 %
+    less than their voxels, or keep their stairs.
 
     References
     ----------
