@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt
@@ -112,6 +111,8 @@ def from_labels(
     >>> [(cell.label, round(cell.volume)) for cell in from_labels(cells, spacing=0.5)]
     [(1, 136), (2, 136)]
     """
+    from scipy import ndimage  # which is slow to import
+
     voxels, affine = _voxels(image, spacing)
     held = np.setdiff1d(voxels, 0)
     if labels is not None:
@@ -154,7 +155,7 @@ def from_labels(
             " volumes, areas and modes are of all of these",
             SplitSurfaceWarning,
             advice="{} keeps the largest",
-            remedies=("geometry.largest_component(cell.geometry)",),
+            remedies=("geometry.largest_component(mesh)",),
         )
     return found
 
