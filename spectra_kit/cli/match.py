@@ -348,6 +348,8 @@ def doubts_of(found: "sk.Match") -> str:
         "genera": "the surfaces have other numbers of handles",
         "rims": "at least one is cut off, and not where the other is",
         "landmark_distances": "it does not lead to all landmarks",
+        "initial": "it follows from the map that was given, and no other was tried",
+        "unconnected": "no convincing pairs of the collection connect the two",
     }
     return ", ".join(told[name] for name in found.doubts)
 

@@ -118,6 +118,11 @@ class ShapeRecord:
         warned of.
     is_cut : bool
         Whether boundary edges of a mesh lie along others, so that the surface is cut there.
+    boundary_edges, euler_characteristic : int or None
+        Of a mesh: see `Diagnosis`. None of clouds, and where a record of before November 2026 does
+        not tell.
+    volume : float or None
+        That a closed mesh encloses, in the cubed unit of the file.
     """
 
     name: str
@@ -141,6 +146,9 @@ class ShapeRecord:
     problems: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     is_cut: bool = False
+    boundary_edges: int | None = None
+    euler_characteristic: int | None = None
+    volume: float | None = None
 
 
 @checked

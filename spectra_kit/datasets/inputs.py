@@ -23,7 +23,8 @@ from spectra_kit.datasets.store import SpectrumStore
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.geometry.formats._room import format_of
 from spectra_kit.geometry.formats.foreign import advice_for
-from spectra_kit.geometry.io import READERS, readable_files
+from spectra_kit.geometry.formats.xyz import holds_points
+from spectra_kit.geometry.io import ANYTHING, READERS, readable_files
 
 _PATTERN = "*?["
 _FIELD = re.compile(r"\{([A-Za-z_]\w*)\}")  # of a pattern
@@ -89,7 +90,8 @@ def find_inputs(sources: Sequence[str | os.PathLike[str]]) -> list[Input]:
         ``**``, where ``{subject}`` is any part of a name, and becomes a column of the table;
         folders, of which all such files are taken, those of folders inside, too, but for txt, csv
         and asc, which may be anything: a pattern such as ``*.txt`` takes them; and
-        manifests: CSV files whose column ``file`` names files, relative to the manifest. A column
+        manifests: CSV files whose column ``file`` names files, relative to the manifest; others
+        whose first line is of numbers, or names columns x, y and z, are clouds. A column
         ``name`` names them otherwise, further ones are handed on to the table. Links to folders are
         followed; one to nothing is a file that cannot be read.
 
@@ -216,7 +218,7 @@ def _inputs_of(source: str) -> Iterator[Input]:
         files = readable_files(columns, named=format_of(path) in READERS)
         for one in _some(source, files, [*columns], "match"):
             yield replace(one, columns=columns[one.path])
-    elif path.suffix.lower() == ".csv":
+    elif path.suffix.lower() == ".csv" and not (path.is_file() and holds_points(path)):
         yield from _listed(path)
     else:
         yield Input(name=path.as_posix(), path=path)  # to read it will tell what is wrong with it
@@ -260,9 +262,12 @@ def _inside(folder: Path, above: frozenset[tuple[int, int]] = frozenset()) -> It
 
 def _some(source: str, paths: list[Path], found: list[Path], verb: str) -> Iterator[Input]:
     if not paths:
-        known = ", ".join(sorted(READERS))
+        is_folder = verb == "hold"
+        known = ", ".join(sorted({*READERS} - {*(ANYTHING if is_folder else ())}))
         other = min((path for path in found if path.suffix), default=None)
         advice = f"of {other.name!r}: {advice_for(other)}" if other else ""
+        if is_folder and other and format_of(other) in ANYTHING:
+            advice = f"of tables of points: the pattern {source}/*{format_of(other)}"
         expected = f"{verb} meshes or clouds ({known})"
         raise InvalidInputError(repr(source), expected, "none", advice=advice)
     yield from (Input(name=path.as_posix(), path=path) for path in paths)

@@ -362,6 +362,7 @@ def _arrays(match: Match) -> dict[str, NDArray[Any]]:
         *(np.nan if one is None else one for one in (match.orientation, match.discontinuity)),
         *(match.margin, match.mirror_margin, match.consistent, match.coverage),
         *(match.clustered, *match.rims, *(match.genera or (np.nan, np.nan))),
+        float(match.unconnected),
     ]
     return {
         "point_map": match.point_map,
@@ -383,7 +384,8 @@ def _restored(arrays: Mapping[str, NDArray[Any]]) -> Match:
     mirrored, orientation, discontinuity, margin, mirror_margin, consistent, coverage, *more = (
         judged
     )
-    clustered, *rims, genus, other = more or [1.0, 0.0, 0.0, np.nan, np.nan]  # of older releases
+    # Older releases told less.
+    clustered, *rims, genus, other = more[:5] or [1.0, 0.0, 0.0, np.nan, np.nan]
     mismatches = {
         name.removeprefix(_MISMATCH): values.tolist()
         for name, values in arrays.items()
@@ -414,4 +416,5 @@ def _restored(arrays: Mapping[str, NDArray[Any]]) -> Match:
         clustered=clustered,
         rims=(rims[0], rims[1]),
         genera=None if np.isnan(genus) else (int(genus), int(other)),
+        unconnected=bool(sum(more[5:])),
     )

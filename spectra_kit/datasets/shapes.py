@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -193,6 +194,27 @@ def _completed(store: SpectrumStore, name: str, path: Path, plan: Plan) -> Compl
     return finished(store, read_file(store, name, path, plan), plan)
 
 
+class Looked(NamedTuple):
+    """What a record keeps of the diagnosis of a geometry."""
+
+    problems: tuple[str, ...]
+    is_cut: bool
+    boundary_edges: int | None
+    euler_characteristic: int | None
+    volume: float | None
+
+    @classmethod
+    def at(cls, shape: Geometry) -> Looked:
+        """Look at a geometry."""
+        found = diagnose(shape)
+        is_cut = bool(found.seam_edges or found.hanging_vertices)
+        facts: tuple[Any, ...] = (None, None, None)
+        if found.n_faces:
+            volume = None if math.isnan(found.volume) else found.volume
+            facts = found.boundary_edges, found.euler_characteristic, volume
+        return cls(tuple(map(str, found.problems)), is_cut, *facts)
+
+
 class FileRead(NamedTuple):
     """A file that was read, and what the store has of it."""
 
@@ -200,8 +222,7 @@ class FileRead(NamedTuple):
     digest: str
     old: ShapeRecord | None
     shape: Geometry
-    problems: tuple[str, ...]
-    is_cut: bool
+    looked: Looked
     key: str
     is_new: bool
     damaged: tuple[str, ...]
@@ -214,17 +235,16 @@ def read_file(store: SpectrumStore, name: str, path: Path, plan: Plan) -> FileRe
     with hearing() as heard, single_threaded_blas():
         digest = _digest(path)
         old = _old_record(store, name, plan)
-        shape, problems, is_cut = _shape(
-            store, path, plan, old if old and old.file == digest else None
-        )
+        shape, looked = _shape(store, path, plan, old if old and old.file == digest else None)
         key = store.key(shape, plan)
         is_new = key not in store
         if is_new:
             _check_memory(path, plan, shape.n)
     # Without the path, which is another on each machine.
     passed_over = (one for one in heard if isinstance(one, IgnoredContentWarning))
-    problems += tuple(str(one).removeprefix(f"{one.where}: ") for one in passed_over)
-    return FileRead(name, digest, old, shape, problems, is_cut, key, is_new, _damaged(heard), start)
+    told = tuple(str(one).removeprefix(f"{one.where}: ") for one in passed_over)
+    looked = looked._replace(problems=looked.problems + told)
+    return FileRead(name, digest, old, shape, looked, key, is_new, _damaged(heard), start)
 
 
 def _damaged(heard: Iterable[SpectraKitWarning]) -> tuple[str, ...]:
@@ -274,9 +294,8 @@ def finished(store: SpectrumStore, one: FileRead, plan: Plan) -> Completed[Shape
         residual=float(certificate.relative_residuals.max()),
         eigenvalues=tuple(spectrum.eigenvalues.tolist()),
         dna=tuple(signatures["dna"].tolist()) if "dna" in signatures else (),
-        problems=one.problems,
         warnings=tuple(dict.fromkeys(doubts)),
-        is_cut=one.is_cut,
+        **one.looked._asdict(),
     )
     record = replace(record, sizes=store.sizes(record))
     if record != one.old:
@@ -332,24 +351,23 @@ def _old_record(store: SpectrumStore, name: str, plan: Plan) -> ShapeRecord | No
 
 def _shape(
     store: SpectrumStore, path: Path, plan: Plan, old: ShapeRecord | None
-) -> tuple[Geometry, tuple[str, ...], bool]:
-    """Return the geometry as it is looked at, its problems, and whether it is cut.
+) -> tuple[Geometry, Looked]:
+    """Return the geometry as it is looked at, and what was seen.
 
-    If `old` is there, it knows these. A geometry is not read from its file again where the store
+    If `old` is there, it knows that. A geometry is not read from its file again where the store
     has it.
     """
     if old is not None:
         try:
-            return store.shape(old.shape), old.problems, old.is_cut
+            seen = Looked(*(getattr(old, name) for name in Looked._fields))
+            return store.shape(old.shape), seen
         except InvalidFileError as error:
             if Path(error.path).exists():
                 warn_of_damage(error)
                 remove(Path(error.path))
     shape = plan.prepared(without_nan(path).geometry if plan.repair else read(path))
     store.keep_shape(shape)
-    found = diagnose(shape)
-    is_cut = bool(found.seam_edges or found.hanging_vertices)
-    return shape, tuple(map(str, found.problems)), is_cut
+    return shape, Looked.at(shape)
 
 
 def _digest(path: Path) -> str:

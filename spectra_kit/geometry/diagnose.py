@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.types import Floats
 from spectra_kit.geometry.seams import HANGING, seams
 from spectra_kit.geometry.shapes import (
     Geometry,
@@ -157,6 +159,9 @@ class Diagnosis:
         Vertices in use - edges + faces; 2 - 2 * genus for one closed orientable surface.
     area : float
         In length^2; nan for a cloud.
+    volume : float
+        In length^3, what a closed surface encloses, negative where its faces look inwards; nan of a
+        cloud, and where there is a boundary or faces disagree on which side is out.
     lower, upper : tuple of 3 floats
         Corners of the bounding box.
     """
@@ -179,6 +184,7 @@ class Diagnosis:
     clashing_edges: int = 0
     euler_characteristic: int = 0
     area: float = float("nan")
+    volume: float = float("nan")
     lower: tuple[float, float, float]
     upper: tuple[float, float, float]
 
@@ -245,6 +251,7 @@ def _face_counts(mesh: TriangleMesh) -> dict[str, Any]:
     edges, faces_at_edge = mesh.unique_edges
     n_used, n_faces = len(mesh.referenced_vertices), len(mesh.faces)
     cut, (turned, clashing) = seams(mesh), wound_against(mesh)
+    is_closed = n_faces > 0 and bool((faces_at_edge == 2).all()) and not (turned.any() or clashing)
     return {
         "n_faces": n_faces,
         "n_components": len(np.unique(mesh.component_labels[mesh.referenced_vertices])),
@@ -261,7 +268,13 @@ def _face_counts(mesh: TriangleMesh) -> dict[str, Any]:
         "clashing_edges": clashing,
         "euler_characteristic": n_used - len(edges) + n_faces,
         "area": mesh.area,
+        "volume": enclosed(mesh.points, mesh.faces) if is_closed else float("nan"),
     }
+
+
+def enclosed(points: Floats, faces: NDArray[Any]) -> float:
+    """Return the volume inside a closed surface, negative where it faces inwards."""
+    return float(np.linalg.det((points - points[0])[faces]).sum() / 6)
 
 
 def _count_split_fans(mesh: TriangleMesh) -> int:

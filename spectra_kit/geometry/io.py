@@ -62,7 +62,7 @@ READERS: dict[str, Callable[[Path], Arrays]] = {
     **dict.fromkeys((".asc", ".csv", ".pts", ".txt", ".xyz"), xyz.read),
     **dict.fromkeys(elements.MODULES, elements.read),
 }
-_ANYTHING = (".asc", ".csv", ".txt")  # may hold points, and is read where it is named
+ANYTHING = (".asc", ".csv", ".txt")  # may hold points, and is read where it is named
 MESH_WRITERS: dict[str, Callable[..., None]] = {
     ".gii": gifti.write,
     ".glb": gltf.write,
@@ -289,7 +289,7 @@ def is_readable(path: Path) -> bool:
 
     Or a surface of FreeSurfer by its content.
     """
-    return _known_as(path) in READERS and format_of(path) not in _ANYTHING
+    return _known_as(path) in READERS and format_of(path) not in ANYTHING
 
 
 def readable_files(paths: Iterable[Path], *, named: bool = False) -> list[Path]:

@@ -131,11 +131,14 @@ class Collection(Rebuilt):
         """Return the map between two surfaces, refined as `match` does, with its `k` and `elastic`.
 
         It has one candidate, and so no rival: both its margins are infinite, and its confidence is
-        what it would be if a rival scored as well. Warns where it is not `Match.convincing`.
+        what it would be if a rival scored as well. It is `Match.unconnected`, and not convincing,
+        where one of the two is foreign, or they are of two groups. Warns where it is not
+        `Match.convincing`.
         """
         found, ends = [self.candidate(source, target)], (self.shapes[source], self.shapes[target])
         last = LastSteps(check_count("k", k, low=LOWEST_K), elastic)
-        return matched_from(*ends, [found], last, self.options)
+        connected = any({source, target} <= {*group} for group in self.groups)
+        return matched_from(*ends, [found], last, self.options, unconnected=not connected)
 
     def _place(self, end: str, name: str) -> int:
         if name not in self.shapes:

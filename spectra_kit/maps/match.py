@@ -181,7 +181,8 @@ def matched(
             found = [[search.known(on_matched(a, b, initial), mirrored)]]
         if len(found) == 2 and found[1][0].score * options.mirrored_by < found[0][0].score:
             found.reverse()
-        return matched_from(a, b, found, last, options, landmarks)
+        given = initial is not None
+        return matched_from(a, b, found, last, options, landmarks, initial=given)
 
 
 def matched_from(
@@ -191,8 +192,14 @@ def matched_from(
     last: LastSteps,
     options: MatchOptions,
     landmarks: Pairs | None = None,
+    *,
+    initial: bool = False,
+    unconnected: bool = False,
 ) -> Match:
-    """Refine one of the first candidates found, those of either orientation; the best first."""
+    """Refine one of the first candidates found, those of either orientation; the best first.
+
+    Where they come from, `initial` and `unconnected` are attributes of the match.
+    """
     last = last._replace(k=min(last.k, a.spectrum.k, b.spectrum.k))
     seen = a.geometry is not None and b.geometry is not None
     apart, lost_from = None, np.inf
@@ -225,6 +232,8 @@ def matched_from(
         **(topologies(a.whole_surface, b.whole_surface) if seen else {}),
         landmark_distances=apart,
         lost_from=lost_from,
+        initial=initial,
+        unconnected=unconnected,
     )
     warn_of(result)
     return result

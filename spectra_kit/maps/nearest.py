@@ -49,7 +49,8 @@ def nearest_rows(
     Returns
     -------
     ndarray of shape (q,)
-        Indices into `points`; the lowest of those at the same distance.
+        Indices into `points`; the lowest of those at the same distance. Where two surfaces lie on
+        each other, ``nearest_rows(target.points, source.points)`` is a point map (p2p_21).
 
     Notes
     -----

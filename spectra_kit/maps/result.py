@@ -21,10 +21,10 @@ from spectra_kit.maps.places import as_places, carried_values, coded, voted
 #: What may be wrong with a map: see `Match.doubts`.
 Doubt = Literal[
     "margin", "mirror_margin", "alike", "orientation", "consistent", "coverage", "score",
-    "discontinuity", "genera", "rims", "landmark_distances",
+    "discontinuity", "genera", "rims", "landmark_distances", "initial", "unconnected",
 ]  # fmt: skip
 _AMBIGUOUS = {"margin", "mirror_margin", "alike", "orientation", "consistent"}
-_ALONE = {"alike", "rims", "score"}  # that count by themselves
+_ALONE = {"alike", "rims", "score", "unconnected"}  # that count by themselves
 _OTHERS = {"orientation", "coverage", "discontinuity", "genera"}  # right maps have one at most
 
 _CLUSTERED = 1.5  # times chance: bodies and animals have less, round shapes more
@@ -163,6 +163,11 @@ class Match(Rebuilt):
         0.05 where that is more.
     convincing_score : float
         Above which the score speaks against the map: 0.42, or 0.4 of the best of many regions.
+    initial : bool, default False
+        Whether it was refined from a map that was given: nothing else was tried, and where that one
+        is turned, so is this.
+    unconnected : bool, default False
+        Whether it is of a collection of which no convincing pairs connect the two surfaces.
     """
 
     point_map: Ints
@@ -183,6 +188,8 @@ class Match(Rebuilt):
     landmark_distances: Floats | None = None
     lost_from: float = float("inf")
     convincing_score: float = calibration.CONVINCING_SCORE
+    initial: bool = False
+    unconnected: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -236,8 +243,11 @@ class Match(Rebuilt):
         parts (`covered`), it is a guess. Doubts about orientation and genera lower its odds to a
         fiftieth each; maps that are `alike` have equal shares of it; and so much of it is lost as
         of the landmarks. An only candidate, as of a collection or of an `initial` map, has as much
-        as if a rival scored as well. It does not see other symmetries: of a surface that is one
-        with itself turned or mirrored, a wrong map looks like a right one. See `ambiguous`.
+        as if a rival scored as well: it tells how well the map fits, not that no other would, so
+        that of an `initial` map that is turned is near 1 on a round surface. Where a collection
+        leaves two surfaces `unconnected`, it is half as much. It does not see other symmetries: of
+        a surface that is one with itself turned or mirrored, a wrong map looks like a right one.
+        See `ambiguous`.
         """
         margin = self.margin if len(self.candidates) > 1 else None
         likely = calibration.confidence_of(
@@ -248,7 +258,8 @@ class Match(Rebuilt):
             against=len({"orientation", "genera"} & set(self.doubts)),
         )
         held = self.landmarks_held
-        return likely / (1 + self.alike) * (1.0 if held is None else float(held.mean()))
+        likely /= (1 + self.alike) * (1 + self.unconnected)
+        return likely * (1.0 if held is None else float(held.mean()))
 
     @property
     def ambiguous(self) -> bool:
@@ -264,9 +275,10 @@ class Match(Rebuilt):
     def convincing(self) -> bool:
         """Whether the map is rather right than wrong, by confidence and doubts.
 
-        Its confidence is 0.5 or more, no map is `alike`, neither score nor rims speak against it,
-        and of orientation, coverage, tears and genera one does at most. Of a part, for which
-        confidence is not calibrated, neither score, coverage nor rims may.
+        Its confidence is 0.5 or more, no map is `alike`, the two are not `unconnected`, neither
+        score nor rims speak against it, and of orientation, coverage, tears and genera one does at
+        most. Of a part, for which confidence is not calibrated, neither score, coverage nor rims
+        may.
         """
         doubts = set(self.doubts)
         if self.covered is not None:
@@ -294,6 +306,8 @@ class Match(Rebuilt):
             "genera": self.genera is None or self.genera[0] == self.genera[1],
             "rims": self._rims_agree(),
             "landmark_distances": held is None or bool(held.all()),
+            "initial": not self.initial,
+            "unconnected": not self.unconnected,
         }
         return tuple(name for name, fine in clear.items() if not fine)
 

@@ -207,6 +207,7 @@ def test_the_demo_draws_its_pictures(tmp_path, capsys):
         (("coverage", "score"), "than chance would, the surfaces look no more alike than"),
         (("alike", "genera"), "others look as good, the surfaces have other numbers of handles"),
         (("rims", "landmark_distances"), "where the other is, it does not lead to all landmarks"),
+        (("initial", "unconnected"), "no other was tried, no convincing pairs of the collection"),
     ],
 )
 def test_every_doubt_is_told(doubts, why):

@@ -7,7 +7,7 @@ from conftest import bumpy, refused
 
 import spectra_kit as sk
 from spectra_kit.datasets import Input, Plan, SpectrumStore, compute_all, find_inputs, shard
-from spectra_kit.errors import IgnoredContentWarning, InvalidFileError
+from spectra_kit.errors import IgnoredContentWarning, InvalidFileError, InvalidInputError
 from spectra_kit.geometry import write
 
 
@@ -99,6 +99,27 @@ def test_manifests_that_are_none(folder, text, problem):
     with pytest.raises(InvalidFileError) as caught:
         find_inputs(["people.csv"])
     assert problem in str(caught.value)
+
+
+@pytest.mark.parametrize("heading", ["", "x,y,z,c\n", "frame;Z;Y;X\n", "# x y z c\n", "2\n"])
+def test_a_table_of_points_is_no_manifest(folder, heading):
+    row = "1.5;2;3;4\n" if ";" in heading else "1.5,2,3,4\n"
+    Path("cloud.csv").write_text(heading + 2 * row)
+    (one,) = find_inputs(["cloud.csv"])
+    assert (one.name, one.path, one.columns) == ("cloud.csv", Path("cloud.csv"), {})
+
+
+def test_a_manifest_may_have_columns_x_y_z(folder):
+    Path("people.csv").write_text("file,x,y,z\nscans/a.ply,1,2,3\n")
+    (one,) = find_inputs(["people.csv"])
+    assert one.columns == {"x": "1", "y": "2", "z": "3"}
+
+
+def test_a_folder_of_tables_says_what_takes_them(folder):
+    Path("tables").mkdir()
+    Path("tables/cloud.csv").write_text("1,2,3\n")
+    with pytest.raises(InvalidInputError, match=r"xyz\), got none; .*the pattern tables/\*\.csv"):
+        find_inputs(["tables"])
 
 
 def test_a_manifest_in_another_encoding_or_missing(folder):

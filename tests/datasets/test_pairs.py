@@ -23,7 +23,7 @@ from spectra_kit.datasets import (
     shard,
     write_table,
 )
-from spectra_kit.datasets.pairs import KEPT, in_tiles, prepared
+from spectra_kit.datasets.pairs import KEPT, _arrays, _restored, in_tiles, prepared
 from spectra_kit.datasets.run import own_order
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidFileError, InvalidInputError
 from spectra_kit.geometry import TriangleMesh, mirrored, write
@@ -113,6 +113,15 @@ def test_maps_are_the_true_ones_and_those_of_match(store):
         for name in ("score", "margin", "mirror_margin", "coverage", "orientation", "doubts"):
             assert getattr(kept, name) == getattr(found, name)
         assert (kept.ambiguous, kept.convincing) == (found.ambiguous, found.convincing)
+
+
+def test_a_match_that_no_pairs_connect_is_kept_as_one(run):
+    store, report = run
+    kept = load_match(store, report.completed[0][1].record.key)
+    loose = replace(kept, unconnected=True)
+    assert _restored(_arrays(loose)).doubts == loose.doubts == (*kept.doubts, "unconnected")
+    older = {**_arrays(loose), "judged": _arrays(loose)["judged"][:-1]}
+    assert _restored(older).doubts == kept.doubts
 
 
 def test_a_restored_match_is_the_match(run):

@@ -249,7 +249,42 @@ def test_a_table_has_a_row_for_each_shape(scans, store, tmp_path):
         assert (row["components"], row["zero_modes"], row["level"]) == ("1", "1", "verified")
 
 
-@pytest.mark.parametrize("column", ["area", "eigenvalue_0", "dna_by_area_12"])
+def test_a_table_tells_holes_handles_and_volumes(store, tmp_path):
+    """Of a ball, with two holes, inside out, of a torus and a cloud; of older records, nothing."""
+    ball = sk.geometry.sphere(subdivisions=2).geometry
+    holed = TriangleMesh(ball.points, np.delete(ball.faces, [0, 200], axis=0))
+    torus = sk.geometry.torus(n=300).geometry
+    inside = TriangleMesh(ball.points, ball.faces[:, ::-1])
+    shapes = {"ball": ball, "holed": holed, "inside": inside, "ring": torus}
+    shapes["cloud"] = PointCloud(np.array(ball.points))
+    for name, shape in shapes.items():
+        write(shape, tmp_path / f"{name}.ply")
+    inputs = [Input(name=name, path=tmp_path / f"{name}.ply") for name in shapes]
+    report = compute_all(inputs, store, PLAN)
+    write_table(tmp_path / "table.csv", report)
+    with (tmp_path / "table.csv").open(newline="") as file:
+        rows = {row["name"]: row for row in csv.DictReader(file)}
+    told = {n: (r["boundary_edges"], r["euler_characteristic"]) for n, r in rows.items()}
+    assert told == {
+        **{"ball": ("0", "2"), "holed": ("6", "0"), "inside": ("0", "2")},
+        **{"ring": ("0", "0"), "cloud": ("", "")},
+    }
+    tetrahedra = np.linalg.det(ball.points[ball.faces]).sum() / 6
+    assert float(rows["ball"]["volume"]) == pytest.approx(tetrahedra)
+    assert float(rows["inside"]["volume"]) == pytest.approx(-tetrahedra)
+    assert float(rows["ring"]["volume"]) > 0
+    assert rows["holed"]["volume"] == rows["cloud"]["volume"] == ""
+    record = report.completed[0][1].record
+    (entry,) = (e for e in store.entries("records") if b'"ball"' in e.path.read_bytes())
+    old = json.loads(entry.path.read_text())
+    for name in ("boundary_edges", "euler_characteristic", "volume"):
+        del old[name]
+    entry.path.write_bytes(sealed(json.dumps({**old, "sha256": BLANK}).encode()))
+    assert store.record("ball", PLAN).volume is None
+    assert store.record("ball", PLAN).eigenvalues == record.eigenvalues
+
+
+@pytest.mark.parametrize("column", ["area", "volume", "eigenvalue_0", "dna_by_area_12"])
 def test_columns_of_a_tables_own_are_refused_before_the_work(column, scans):
     check_columns([Input(name="a", path=scans, columns={"age": "3", "eigenvalue": "4"})])
     one = Input(name="a", path=scans, columns={column: "3"})

@@ -262,6 +262,19 @@ def test_clouds_with_headers(tmp_path, name, data):
     np.testing.assert_array_equal(read(tmp_path / f"{name}.gz").points, got.points)
 
 
+def test_msh_of_ansys_is_named_with_two_ways_out(tmp_path):
+    by_meshio(tmp_path / "a.msh")  # by its name meshio makes it one of ANSYS
+    with pytest.raises(InvalidFileError, match="a mesh of ANSYS, expected one of Gmsh") as caught:
+        read(tmp_path / "a.msh")
+    meshio = pytest.importorskip("meshio")
+    assert "hand over meshio.read(path), or " in str(caught.value)
+    mesh = meshio.read(tmp_path / "a.msh")
+    is_ball(mesh)
+    assert 'meshio.write(path, mesh, file_format="gmsh")' in str(caught.value)
+    meshio.write(tmp_path / "b.msh", mesh, file_format="gmsh")
+    is_ball(read(tmp_path / "b.msh"))
+
+
 def test_empty_cells_are_no_columns_less(tmp_path):
     (tmp_path / "a.csv").write_bytes(table("{},,{},{}"))
     with pytest.raises(InvalidFileError, match="line 1 is broken"):

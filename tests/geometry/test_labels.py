@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import InvalidInputError, SplitSurfaceWarning
 from spectra_kit.geometry import TriangleMesh, from_labels
 
 
@@ -36,6 +36,35 @@ def test_a_ball(radius, of_area):
     points = found.geometry.points
     distances = np.linalg.norm(points - points.mean(axis=0), axis=1)
     assert np.ptp(distances) < 2 / radius  # a voxel
+
+
+@pytest.mark.parametrize("spacing", [(2, 1, 1), (1, 2.5, 1), (5, 1, 1), (4, 2, 1), (10, 1, 1)])
+@pytest.mark.parametrize(("radius", "of_area"), [(3, 0.03), (6, 0.01), (8, 0.01)])
+def test_a_ball_of_long_voxels_has_no_terraces(spacing, radius, of_area):
+    """The radius is counted in voxels of the coarsest axis."""
+    size = radius * max(spacing)
+    x, y, z = np.meshgrid(*(np.arange(-size - s, size + s, s) + 0.3 * s for s in spacing))
+    labels = np.moveaxis((x**2 + y**2 + z**2 < size**2).astype(int), 0, 1)
+    (found,) = from_labels(labels, spacing=spacing)
+    assert found.is_smooth
+    of_its_volume = 4 * np.pi * (3 * found.volume / (4 * np.pi)) ** (2 / 3)
+    assert abs(found.area / of_its_volume - 1) < of_area
+    assert abs(enclosed(found.geometry) / found.volume - 1) < 2 * of_area
+
+
+def test_cells_at_the_border_and_in_pieces_tell():
+    labels = np.zeros((30, 20, 20), int)
+    labels[:8, 5:15, 5:15] = 4  # at the border
+    labels[10:18, 5:15, 5:15] = 7
+    labels[20:28, 5:15, 5:15] = 9
+    labels[22, 2, 2] = labels[19, 4, 4] = 9  # both loose: corners alone touch
+    with pytest.warns(SplitSurfaceWarning, match="1 of 3 labels, such as 9 of 3 pieces"):
+        found = from_labels(labels)
+    assert [one.touches_border for one in found] == [True, False, False]
+    assert [one.n_pieces for one in found] == [1, 1, 3]
+    labels[12:15, 8:12, 8:12] = 0  # a cave is no piece
+    (found,) = from_labels(labels, labels=[7])
+    assert found.n_pieces == 1
 
 
 def test_a_box_loses_its_edges_alone():
@@ -81,7 +110,8 @@ def test_all_parts_stay_and_caves_too():
     labels = np.zeros((40, 20, 20), int)
     labels[2:18, 2:18, 2:18] = labels[22:38, 2:18, 2:18] = 4
     labels[7:13, 7:13, 7:13] = 0
-    (found,) = from_labels(labels)
+    with pytest.warns(SplitSurfaceWarning, match="1 of 1 label, such as 4 of 2 pieces"):
+        (found,) = from_labels(labels)
     assert len(np.unique(found.geometry.component_labels)) == 3
     assert is_closed(found.geometry)
     assert enclosed(found.geometry) == pytest.approx(2 * 16**3 - 6**3, rel=0.01)
@@ -90,9 +120,9 @@ def test_all_parts_stay_and_caves_too():
 def test_spacing_along_each_axis_and_where_it_lies():
     (found,) = from_labels(np.pad(np.ones((30, 20, 10), int), 3), spacing=(0.5, 1, 2))
     low, high = found.geometry.points.min(axis=0), found.geometry.points.max(axis=0)
-    # From half a voxel before the third, within another half that smoothing may move corners.
-    assert (np.abs(low - [1.25, 2.5, 5]) < [0.25, 0.5, 1]).all()
-    assert (np.abs(high - low - [15, 20, 20]) < [0.5, 1, 2]).all()
+    # From half a voxel before the third, within another that smoothing may move corners.
+    assert (np.abs(low - [1.25, 2.5, 5]) < [0.5, 1, 2]).all()
+    assert (np.abs(high - low - [15, 20, 20]) < [1, 2, 4]).all()
     assert found.volume == pytest.approx(6000)
 
 
@@ -104,9 +134,10 @@ def test_images_of_nibabel(mirror):
     affine[:3, :3] = turn * np.sign(np.linalg.det(turn)) @ np.diag([mirror, 2, 0.5])
     affine[:3, 3] = 7, -20, 90
     image = nibabel.Nifti1Image(ball(6), affine)
-    (found,), (plain,) = from_labels(image), from_labels(ball(6))
+    (found,), (plain,) = from_labels(image), from_labels(ball(6), spacing=(1, 2, 0.5))
+    moved = affine[:3, :3] / [1, 2, 0.5]
     np.testing.assert_allclose(
-        found.geometry.points, plain.geometry.points @ affine[:3, :3].T + affine[:3, 3], atol=1e-9
+        found.geometry.points, plain.geometry.points @ moved.T + affine[:3, 3], atol=1e-9
     )
     assert found.volume == pytest.approx(plain.volume)
     assert enclosed(found.geometry) == pytest.approx(enclosed(plain.geometry))
@@ -133,7 +164,8 @@ def test_a_few_voxels_keep_their_stairs(shape):
 
 def test_noise_of_many_labels_is_closed():
     labels = np.random.default_rng(1).integers(0, 5, (9, 10, 11))
-    found = from_labels(labels)
+    with pytest.warns(SplitSurfaceWarning, match="4 of 4 labels"):
+        found = from_labels(labels)
     assert [one.label for one in found] == [1, 2, 3, 4]
     for one in found:
         assert isinstance(one.geometry, TriangleMesh)

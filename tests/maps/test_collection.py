@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from functools import cache, partial
 from itertools import combinations, permutations
 from pathlib import Path
@@ -107,8 +108,20 @@ def test_a_stranger_is_named_and_its_maps_are_doubtful(collection) -> None:
     assert set(errors) == {"ring", *POSES}
     assert max(errors[name] for name in POSES) < 0.01 < errors["ring"]
     assert "foreign: ring" in repr(collection)
-    with pytest.warns(DoubtfulMatchWarning):
-        collection.pair("ring", "1", elastic=False)
+    with pytest.warns(DoubtfulMatchWarning, match="unconnected"):
+        found = collection.pair("ring", "1", elastic=False)
+    assert found.unconnected
+    assert not found.convincing
+    assert not collection.pair("1", "3", elastic=False).unconnected
+
+
+def test_what_no_convincing_pair_connects_is_doubtful_however_good(collection) -> None:
+    loose = replace(collection, groups=(("1", "2"), ("3",), ("ring",)))
+    with pytest.warns(DoubtfulMatchWarning, match="unconnected"):
+        found = loose.pair("1", "3", elastic=False)
+    assert found.doubts == ("unconnected",)
+    assert not found.convincing
+    assert found.confidence == collection.pair("1", "3", elastic=False).confidence / 2 <= 0.5
 
 
 @pytest.mark.slow

@@ -236,6 +236,9 @@ def test_an_initial_map_is_refined(kind) -> None:
     # Modes alone cannot tell the two sides of a thin limb.
     assert (found.point_map == truth).mean() >= (0.95 if kind == "alone" else 1)
     assert len(found.candidates) == 1
+    assert found.doubts == ("initial",)
+    assert found.convincing
+    assert not found.ambiguous
     assert found.mirrored == (kind == "mirrored")
     refused("initial", "have shape (600,)", match, a, b, initial=near[:-1])
     refused("initial", "be in [0, 600)", match, a, b, initial=near + 600)

@@ -249,6 +249,8 @@ def test_unlike_surfaces_score_badly(source) -> None:
         ({"landmark_distances": np.array([0.0, 0.3]), "lost_from": 0.2}, ("landmark_distances",)),
         ({"orientation": 0.1, "coverage": 0.9}, ("orientation", "coverage")),
         ({"score": 0.43, "coverage": 1.05}, ("coverage", "score")),
+        ({"initial": True}, ("initial",)),
+        ({"unconnected": True}, ("unconnected",)),
     ],
     ids=str,
 )
@@ -263,7 +265,7 @@ def test_doubts_are_facts(facts, doubts) -> None:
     )  # fmt: skip
     assert found.doubts == doubts
     told = len({"orientation", "coverage", "discontinuity", "genera"} & set(doubts))
-    alone = {"rims", "score"} & set(doubts)
+    alone = {"rims", "score", "unconnected"} & set(doubts)
     assert found.convincing == (found.confidence >= 0.5 and told < 2 and not alone)
     assert found.ambiguous == bool(
         {"margin", "mirror_margin", "orientation", "consistent"} & set(doubts)

@@ -30,6 +30,12 @@ def mesh_of(path: Path) -> Any:
     """
     suffix = path.suffix.lower()
     data = path.read_bytes()
+    if suffix == ".msh" and data.lstrip()[:1] == b"(":  # which meshio writes of that name, too
+        raise InvalidInputError(
+            "is a mesh of ANSYS, expected one of Gmsh",
+            advice="hand over meshio.read(path), or write it by meshio.write(path, mesh,"
+            ' file_format="gmsh")',
+        )
     announced = max((int(n[:18]) for found in _COUNTS.findall(data) for n in found if n), default=0)
     if announced > len(data):
         raise InvalidInputError(

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
+from itertools import islice
 from pathlib import Path
+
+import numpy as np
 
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import quantity
-from spectra_kit.errors import InvalidInputError
+from spectra_kit._core.warn import warn
+from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays, position, real, whole
 from spectra_kit.geometry.formats._text import (
     Lines,
@@ -26,7 +31,47 @@ def read(path: Path) -> Arrays:
 
     Every line must have the same number of columns; a count may stand in front.
     """
-    return points_of(_with_heading(text_of(path.read_bytes()))), None
+    text = _with_heading(text_of(path.read_bytes()))
+    points = points_of(text)
+    if path.suffix.lower() != ".pts":  # whose columns are agreed on
+        _tell_of_rest(text)
+    return points, None
+
+
+def _tell_of_rest(text: bytes) -> None:
+    """Warn of columns that no line names behind the third; not of normals and colours."""
+    names, mark, rows = _beginning(text, 100)
+    rest = np.array([_columns(line, mark)[3:] for _, line in rows])
+    if names or not rest.size:
+        return
+    if rest.shape[1] == 3:
+        with suppress(ValueError):  # of empty cells
+            values = rest.astype(np.float64)
+            is_colour = (values >= 0) & (values <= np.where(values % 1, 1, 255))
+            if is_colour.all() or np.median(abs(np.linalg.norm(values, axis=1) - 1)) < 0.01:
+                return
+    told = f"passed over {quantity(rest.shape[1], 'column')} behind the first three, taken for"
+    advice = "if these are others, call the columns x, y, z in a first line"
+    warn(f"{told} x, y, z as no line names them", IgnoredContentWarning, advice=advice)
+
+
+def holds_points(path: Path) -> bool:
+    """Whether a table begins with numbers, or names columns x, y, z, and none that lists files."""
+    with path.open("rb") as file:
+        text = _with_heading(text_of(file.read(1 << 16)))
+    names, mark, rows = _beginning(text, 1)
+    if names:
+        return "file" not in names
+    return bool(rows) and all(map(_is_number, _columns(rows[0][1], mark)))
+
+
+def _beginning(text: bytes, count: int) -> tuple[list[str], str | None, Rows]:
+    """Return the names of columns, what parts them, and the first rows, without a count."""
+    lines = islice(words_of(text), count + 2)
+    rows = [(i, " ".join(words)) for i, words in lines if words[0][:2] != "//"]
+    names, rows = _names(rows[bool(rows and rows[0][1].isdecimal()) :])
+    mark = next((mark for mark in ";," if rows and mark in rows[0][1]), None)
+    return names, mark, rows[:count]
 
 
 def points_of(text: bytes) -> Floats | list[list[float]]:
@@ -43,7 +88,7 @@ def _with_heading(text: bytes) -> bytes:
     heading, row = start[1].decode(errors="replace"), start[2].decode(errors="replace")
     names, _ = _names([(1, heading)])
     mark = next((mark for mark in ";," if mark in row), None)
-    if not names or names[:3] == ["x", "y", "z"] or len(names) != len(_columns(row, mark)):
+    if not names or len(names) != len(_columns(row, mark)):
         return text
     return text[start.start(1) :]
 
