@@ -45,13 +45,14 @@ def write_table(path: str | os.PathLike[str], report: BatchReport[Any, Any]) -> 
     -----
     Columns of shapes: ``name`` and those of the manifest, which must not be named like others;
     ``kind``, ``points``, ``faces``, ``area`` and ``components``; of meshes ``boundary_edges``, 0
-    where there are no holes, ``euler_characteristic`` and, of closed ones, the enclosed ``volume``,
-    negative where faces look inwards; ``zero_modes``, ``level`` and ``residual`` tell how far the
-    modes can be trusted; ``problems`` of the geometry and ``warnings`` of the solver, and of
-    several components; ``same_as``, an earlier name of the very same geometry; the keys ``shape`` and
-    ``spectrum`` of the store; ``eigenvalue_0`` and so on in 1/length^2, zero modes first, one for
-    each component; and ``dna_by_area_1`` and so on, those behind the zero modes times the area,
-    where the plan wants ShapeDNA: a shape in another unit, or of another size, has the same.
+    where there are no holes, ``euler_characteristic`` and, of closed ones, the enclosed
+    ``volume``, negative where faces look inwards; ``zero_modes``, ``level`` and ``residual`` tell
+    how far the modes can be trusted; ``problems`` of the geometry and ``warnings`` of the solver,
+    and of several components; ``same_as``, an earlier name of the very same geometry; the keys
+    ``shape`` and ``spectrum`` of the store; ``eigenvalue_0`` and so on in 1/length^2, zero modes
+    first, one for each component; and ``dna_by_area_1`` and so on, those behind the zero modes
+    times the area, where the plan wants ShapeDNA: a shape in another unit, or of another size, has
+    the same.
 
     Columns of pairs: ``source``, ``target`` and those of the table of pairs; ``score`` and
     ``coverage``, ``margin`` and ``mirror_margin`` over rivals, and ``orientation`` of the map, as
