@@ -175,7 +175,7 @@ def solve_columns(
     if many == 1:
         x, work = np.empty(n, factor.dtype), np.empty(most, factor.dtype)
         for i in range(n):
-            x[i] = rhs[order[i], left]
+            x[i] = rhs[order[i], left] + 0.0  # no lane has a zero with a sign
         _solve(begins, first, rows, panels, factor, inverse, x, work)
         for i in range(n):
             out[order[i], left] = x[i]
@@ -183,7 +183,7 @@ def solve_columns(
     y, works = np.zeros((n, LANES), factor.dtype), np.empty((most, LANES), factor.dtype)
     for i in range(n):
         for c in range(many):
-            y[i, c] = rhs[order[i], left + c]
+            y[i, c] = rhs[order[i], left + c] + 0.0
     _solve(begins, first, rows, panels, factor, inverse, y, works)
     for i in range(n):
         for c in range(many):

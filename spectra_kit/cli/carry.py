@@ -8,7 +8,7 @@ import numpy as np
 from cyclopts import Parameter
 
 import spectra_kit as sk
-from spectra_kit._core.files import atomic_path
+from spectra_kit._core.files import atomic_path, parsing
 from spectra_kit._core.validate import check_indices, quantity
 from spectra_kit.cli import options, tables
 from spectra_kit.cli.inputs import check_there, of_file
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _TABLES, _OVERLAYS = (".npy", ".csv"), (".gii", ".curv", ".thickness", ".sulc", ".area")
 _MESHES = (".ply", ".vtk", ".vtp")
+_FINE, _PLAIN, _PART = "precise_map.npz", "point_map.npy", "covered.npy"  # what `match` writes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +61,8 @@ class CarryOptions(options.Command, group="input"):
 def carry(asked: CarryOptions) -> None:
     """Carry what a file holds, and write it."""
     known = _TABLES if asked.marks else (*_TABLES, *_OVERLAYS, *_MESHES)
-    check_output(asked.output, known, [*asked.inputs, asked.values])
+    maps = [asked.maps / name for name in (_FINE, _PLAIN, _PART)]
+    check_output(asked.output, known, [*asked.inputs, asked.values, *maps])
     for file in (*asked.inputs, asked.values):
         check_there(file)
     with step("reading"):
@@ -69,17 +71,16 @@ def carry(asked: CarryOptions) -> None:
         given = _read(asked.values)
     with step("carrying"):
         if asked.marks:
-            kind, sure = "landmarks", None
-            found = _landmarks(asked, carrier, given)
+            kind, sure, found = "landmarks", None, _landmarks(asked, carrier, given)
+            lacking = int(np.isnan(found[:, 0]).sum())
         else:
-            kind, found, sure = _carried(asked, carrier, given)
+            kind, found, lacking, sure = _carried(asked, carrier, given)
     head = "x,y,z,face,weight0,weight1,weight2" if asked.marks else ""
     with step(f"writing {asked.output}"):
         _write(asked.output, target, found, head, on_faces="face" in kind)
-    undefined = int(_lacking(found).sum())
     record = {
         **{"source": str(asked.source), "target": str(asked.target), "values": asked.values},
-        **{"kind": kind, "carried": len(found), "undefined": undefined, "confidence": sure},
+        **{"kind": kind, "carried": len(found), "undefined": lacking, "confidence": sure},
         "output": asked.output,
     }
     left = ("source", "target", *(("confidence",) if sure is None else ()))
@@ -94,8 +95,8 @@ def carry(asked: CarryOptions) -> None:
 
 def _carried(
     asked: CarryOptions, carrier: "Carrier", given: "np.ndarray"
-) -> tuple[str, "np.ndarray", float | None]:
-    """Return what of which kind is carried, and how sure that is."""
+) -> tuple[str, "np.ndarray", int, float | None]:
+    """Return what of which kind is carried, how much is not, and how sure labels are."""
     faces = len(carrier.source.faces) if isinstance(carrier.source, sk.TriangleMesh) else None
     on_faces = len(given) == faces != carrier.source.n
     if len(given) not in (carrier.source.n, faces):
@@ -106,14 +107,15 @@ def _carried(
                 f" {asked.source}",
                 advice="are SOURCE and TARGET exchanged?",
             )
+    what = "faces" if on_faces else "vertices"
     if given.dtype.kind in "biu" and given.ndim == 1:
-        labels = carrier.face_labels(given) if on_faces else carrier.labels(given)
-        sure = labels.confidence[labels.confidence > 0]
-        mean = float(sure.mean()) if len(sure) else 0.0
-        return f"labels of {'faces' if on_faces else 'vertices'}", labels.labels, mean
-    if on_faces:
-        return "values of faces", carrier.face_values(given), None
-    return "values of vertices", carrier.values(given), None
+        given = given.astype(np.int64) if given.dtype.kind == "b" else given
+        labels, sure = carrier.face_labels(given) if on_faces else carrier.labels(given)
+        mean = float(sure[sure > 0].mean()) if sure.any() else 0.0
+        return f"labels of {what}", labels, int((sure == 0).sum()), mean
+    values = carrier.face_values(given) if on_faces else carrier.values(given)
+    lacking = np.isnan(values).reshape(len(values), -1).any(axis=1)
+    return f"values of {what}", values, int(lacking.sum()), None
 
 
 def _landmarks(asked: CarryOptions, carrier: "Carrier", given: "np.ndarray") -> "np.ndarray":
@@ -123,7 +125,7 @@ def _landmarks(asked: CarryOptions, carrier: "Carrier", given: "np.ndarray") -> 
     """
     target = carrier.target
     with of_file(asked.values):
-        points = check_indices("landmarks", given.ravel(), carrier.source.n)
+        points = check_indices("--marks", given.ravel(), carrier.source.n)
     rows = np.full((len(points), 7), np.nan)
     for row, place in zip(rows, carrier.landmarks(points), strict=True):
         if isinstance(place, int):
@@ -143,9 +145,7 @@ def _map_in(folder: Path, source: "Geometry", target: "Geometry") -> "sparse.csr
 
     from spectra_kit.geometry.formats.numpy_arrays import read_npy
 
-    fine, plain, part = (
-        folder / name for name in ("precise_map.npz", "point_map.npy", "covered.npy")
-    )
+    fine, plain, part = (folder / name for name in (_FINE, _PLAIN, _PART))
     with of_file(folder):
         if not plain.is_file():
             raise InvalidInputError(
@@ -161,9 +161,13 @@ def _map_in(folder: Path, source: "Geometry", target: "Geometry") -> "sparse.csr
     there = found >= 0
     if part.is_file():
         with of_file(part):
-            there &= np.asarray(read_npy(part)[0]).astype(bool)
+            covered = np.asarray(read_npy(part)[0])
+            if covered.shape != there.shape:
+                raise InvalidInputError(f"has shape {covered.shape}, not ({target.n},)")
+            there &= covered.astype(bool)
     if fine.is_file():
-        places: Any = sparse.load_npz(fine)
+        with parsing(fine, "map", remedy="match again"):
+            places: Any = sparse.load_npz(fine)
         with of_file(fine):
             if places.shape != (target.n, source.n):
                 raise InvalidInputError(f"has shape {places.shape}, not {target.n} by {source.n}")
@@ -176,21 +180,38 @@ def _read(path: Path) -> "np.ndarray":
     """Return what a file has for each vertex or face: (n,) or (n, c)."""
     from spectra_kit.geometry.formats.numpy_arrays import read_npy
 
-    if path.suffix.lower() == ".npy":
-        with of_file(path):
-            return np.asarray(read_npy(path)[0])
-    if path.suffix.lower() != ".csv":
+    if path.suffix.lower() not in _TABLES:
         return sk.geometry.read_overlay(path).values
     with of_file(path):
-        try:
-            text = path.read_text()
-            head = any(c.isalpha() for c in text.partition("\n")[0].replace("e", "").lower())
-            rows = np.loadtxt(text.splitlines(), delimiter=",", skiprows=int(head), ndmin=2)
-        except (ValueError, OSError) as error:
-            raise InvalidInputError(f"not a table of numbers parted by commas ({error})") from error
-    whole = (rows == np.round(rows)).all() and "." not in text
-    table = rows.astype(np.int64) if whole else rows
-    return table[:, 0] if table.shape[1] == 1 else table
+        found = np.asarray(read_npy(path)[0]) if path.suffix.lower() == ".npy" else _table(path)
+        if found.ndim not in (1, 2) or not found.size:
+            raise InvalidInputError(
+                f"has shape {found.shape}, expected a row for each vertex or face"
+            )
+    return found
+
+
+def _table(path: Path) -> "np.ndarray":
+    """Return the numbers of a text, whole ones as such; a first line of names is passed over."""
+    lines = path.read_text(errors="replace").splitlines()
+    kinds: list[type] = [np.int64, np.float64]
+    for kind in kinds:
+        for skipped in (0, 1):
+            try:
+                rows: np.ndarray = np.loadtxt(lines, kind, delimiter=",", skiprows=skipped, ndmin=2)
+            except (ValueError, OverflowError) as error:
+                why = error
+                continue
+            if not skipped or not _is_row(lines[0]):
+                return rows[:, 0] if rows.shape[1] == 1 else rows
+    raise InvalidInputError(f"not a table of numbers parted by commas ({why})")
+
+
+def _is_row(line: str) -> bool:
+    try:
+        return bool(np.loadtxt([line], delimiter=",", ndmin=1).size)
+    except ValueError:
+        return False
 
 
 def _write(
@@ -212,9 +233,3 @@ def _write(
             else:
                 form = "%d" if found.dtype.kind in "iu" else "%.17g"
                 np.savetxt(part, found, form, ",", header=head, comments="")
-
-
-def _lacking(found: "np.ndarray") -> "np.ndarray":
-    """Tell for which vertices or faces a value or a label is not defined."""
-    lacking = np.asarray(found == -1 if found.dtype.kind in "iu" else np.isnan(found))
-    return np.asarray(lacking.reshape(len(found), -1).any(axis=1))

@@ -11,7 +11,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics.paths import SurfacePath
 from spectra_kit.geodesics.sources import FacePoint
 from spectra_kit.geometry import PointCloud
-from spectra_kit.geometry.vectors import frames_of
+from spectra_kit.geometry.vectors import frames_of, unit_vectors
 from spectra_kit.operators import oriented_triangles
 from spectra_kit.operators.checks import unit_of
 from spectra_kit.operators.curvature import REACH, Surroundings, surroundings_of
@@ -19,6 +19,7 @@ from spectra_kit.operators.curvature import REACH, Surroundings, surroundings_of
 _STEP = 0.25  # of the spacing of points: errors of steps are well below those of the quadrics
 _MOST = 2**20  # steps that are a path, and not a length in another unit
 _ROUNDING = 1e-12  # of a length
+_OFF = 2.0  # spacings from the nearest point, beyond which nothing is known of the surface
 _SLACK = 0.5  # spacings beyond the outermost points that are still on the surface
 
 
@@ -41,7 +42,7 @@ def traced_on_cloud(
         )
     along = towards - (towards @ normal) * normal
     tangent = tangent_length(towards, along)
-    along /= tangent
+    along = unit_vectors(along / np.abs(along).max())  # squares of any length are numbers
     wanted = tangent if length is None else float(length)
     missing, step = wanted / unit, _STEP * around.spacings[near]
     if missing > _MOST * step:
@@ -94,12 +95,19 @@ def _beyond(points: Floats, around: Surroundings, near: int, place: Floats, norm
     """Tell whether a place is beyond the outermost points of a cloud.
 
     The triangles at the nearest point, `near`, then leave half a turn or more open, the place lies
-    in it, and away from the sides next to it.
+    in it, and away from the sides next to it. Or that point is far.
     """
     first = 2 * around.starts[near]
-    ring = points[around.rings[first : first + around.sizes[near]]] - points[near]
+    beside = around.rings[first : first + around.sizes[near]]
+    spacing = np.median(around.spacings[beside])
+    if np.linalg.norm(place - points[near]) > _OFF * spacing:
+        return True
+    ring = points[beside] - points[near]
     plane = frames_of(normal)[:2].T @ [1, 1j]
     sides, at = ring @ plane, (place - points[near]) @ plane
+    sides = sides[np.abs(sides) > _ROUNDING * spacing]  # not those along the normal
+    if not len(sides):
+        return False
     sides = sides[np.argsort(np.angle(sides))]
     gaps = np.angle(np.roll(sides, -1) / sides) % (2 * np.pi)
     widest = int(np.argmax(gaps))
@@ -107,4 +115,4 @@ def _beyond(points: Floats, around: Surroundings, near: int, place: Floats, norm
     if gaps[widest] < np.pi or np.angle(at / rim[0]) % (2 * np.pi) > gaps[widest]:
         return False
     share = (at / rim).real.clip(0, 1)
-    return bool(np.abs(at - share * rim).min() > _SLACK * around.spacings[near])
+    return bool(np.abs(at - share * rim).min() > _SLACK * spacing)

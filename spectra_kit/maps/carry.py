@@ -43,7 +43,7 @@ from spectra_kit.operators import (
 )
 from spectra_kit.operators.checks import of_shape
 
-_SUM = 1e-6  # of weights, off 1
+_CORNER = 1e-6  # barycentric: this near to a corner is that
 _LOST = 3.0  # edges away from all that the map reaches, where nothing corresponds
 _BLUR = 1.0  # edges over which a map is smoothed before it is differentiated
 _CRUSHED = 0.1  # ratio of the stretches of a map below which directions mean nothing
@@ -143,11 +143,11 @@ class Carrier:
             covered = along.covered
             along = along.point_map if along.precise is None else along.precise
         self.places: sparse.csr_array = as_places("along", along, source.n, target.n)
-        self.known: Bools = np.abs(self.places.sum(axis=1) - 1) < _SUM
+        self.known: Bools = np.diff(self.places.indptr) > 0
         if covered is not None:
             self.known &= covered
         if not self.known.any():
-            raise InvalidInputError("along", "lead somewhere", "no row with weights of sum 1")
+            raise InvalidInputError("along", "lead somewhere", "no point with a partner")
 
     def __repr__(self) -> str:
         return f"Carrier({quantity(self.source.n, 'point')} to {self.target.n})"
@@ -171,8 +171,9 @@ class Carrier:
 
         NaN where nothing corresponds.
         """
-        given = real_array("values", values)
-        check_rows("values", given, len(self._there.mesh("source", "values of faces").faces))
+        given, mesh = real_array("values", values), self._there.mesh("source", "values of faces")
+        self._here.mesh("target", "values of faces")
+        check_rows("values", given, len(mesh.faces))
         carried = given[self._middles].astype(np.float64)
         carried[self._middles < 0] = np.nan
         return carried
@@ -199,13 +200,15 @@ class Carrier:
         owners, corners, shares, _ = spread(points, self.source, "points")
         rows = sums(owners, shares[:, None] * self._there.rows[corners], int(owners[-1]) + 1)
         places, near = self._met(rows)
-        faces = faces_of(places, self._here.faces)
-        weights = weights_in(places, faces, self._here.faces)
+        target = self.target
+        named = target.faces if isinstance(target, TriangleMesh) else self._here.faces
+        faces = faces_of(places, named)
+        weights = weights_in(places, faces, named)
         found = list[int | FacePoint | None]()
         for i in range(len(rows)):
             if not near[i]:
                 found.append(None)
-            elif not isinstance(self.target, TriangleMesh) or weights[i].max() > 1 - _SUM:
+            elif not isinstance(target, TriangleMesh) or weights[i].max() > 1 - _CORNER:
                 row = slice(places.indptr[i], places.indptr[i + 1])
                 found.append(int(places.indices[row][np.argmax(places.data[row])]))
             else:
@@ -258,12 +261,9 @@ class Carrier:
             raise InvalidInputError("coordinates", "have shape (t, 2)", uv.shape)
         named = check_faces("faces", faces, len(uv))
         check_rows("faces", named, len(mesh.faces))
-        own = faces_of(self.places, mesh.faces)
-        weights = weights_in(self.places, own, mesh.faces)
-        each = np.einsum("ns,nsd->nd", weights, uv[named[own]])
         images, corners = self.places @ self._there.rows, self._there.rows[mesh.faces]
-        texture = Texture(uv, named)
-        found = textured(texture, corners, images[triangles], self._middles, each[triangles])
+        texture = Texture(uv, named, mesh.faces)
+        found = textured(texture, self.places, triangles, self._middles, corners, images[triangles])
         found[self._middles < 0] = np.nan
         return found
 
@@ -271,8 +271,9 @@ class Carrier:
         """Deform the target as the source was: to points (n2, 3), from those (n1, 3) it moved to.
 
         Each face turns and stretches as that of the source on which its middle lies, and points
-        follow by least squares; where nothing corresponds it stays as stiff as it can. Poses carry
-        over so. Both surfaces may stand differently, and have other sizes.
+        follow by least squares; where nothing corresponds it stays as stiff as it can. What changes
+        is carried: of two bodies in one pose, the pose. Both may stand differently, and have other
+        sizes.
         """
         source = self._there.mesh("source", "deformations")
         target = self._here.mesh("target", "deformations")
@@ -284,35 +285,49 @@ class Carrier:
         u, _, v = np.linalg.svd(centred[1].T @ centred[0])
         turn = u @ v  # takes directions of the target to those of the source; may mirror
         there = deformed(source, moved, target, self._middles, turn)
-        shift = (self.places @ (moved - source.points))[self.known].mean(axis=0)
-        shift = turn.T @ shift * self._here.scale / self._there.scale
-        part = target.component_labels
-        means = sums(part, there - target.points, part.max() + 1) / np.bincount(part)[:, None]
-        return np.asarray(there - means[part] + shift)
+        step = (self.places @ (moved - source.points)) @ turn * self._here.scale / self._there.scale
+        # A component goes where its points go; one without a partner, with all others.
+        part, known = target.component_labels, self.known
+        due = target.points + step - there
+        counts = np.bincount(part[known], minlength=part.max() + 1)[:, None]
+        shifts = sums(part[known], due[known], len(counts)) / np.maximum(counts, 1)
+        lone = sums(part, target.points - there, len(counts)) / np.bincount(part)[:, None]
+        shifts = np.where(counts > 0, shifts, lone + step[known].mean(axis=0))
+        return np.asarray(there + shifts[part])
+
+    @property
+    def _limit(self) -> float:
+        """How far from all that the map reaches something may lie, at unit area."""
+        return _LOST * max(self._there.edge, self._here.edge)
 
     def _met(self, rows: Floats) -> tuple[sparse.csr_array, Bools]:
         """Return where on the target rows of the source are met, and whether near enough."""
         images = self.places @ self._there.rows
-        places, apart = located(rows, images, self._here.faces, self.known)
-        return places, apart <= _LOST * max(self._there.edge, self._here.edge)
+        places, apart = located(rows, images, self._here.faces, self.known, self._limit)
+        return places, apart <= self._limit
 
     @cached
     def _middles(self) -> Ints:
         """The face of the source on which the middle of each face of the target lies, or -1."""
-        faces = self._here.faces
-        middles = (self.places @ self._there.rows)[faces].mean(axis=1)
-        everything = np.ones(self.source.n, bool)
-        places, _ = located(middles, self._there.rows, self._there.faces, everything)
+        faces, rows, everything = self._here.faces, self._there.rows, np.ones(self.source.n, bool)
+        middles = (self.places @ rows)[faces].mean(axis=1)
+        places, _ = located(middles, rows, self._there.faces, everything, self._limit)
         found = faces_of(places, self._there.faces)
         return np.where(self.known[faces].all(axis=1), found, -1)
 
     def _blurred(self, values: Floats) -> Floats:
-        """Return values of the target's points (n2, c), spread over some edges."""
+        """Return values of the target's points (n2, c), spread over an edge.
+
+        A map to points alone climbs stairs as high as edges of the source.
+        """
+        edge = self._here.edge
+        if self.places.nnz == self.known.sum():
+            edge = max(edge, self._there.edge)
         operator = self._here.laplacian
         if not self.known.all():
             some = np.flatnonzero(self.known)
             values = operator.solve(fixed=some, values=values[some])
-        return diffuse(operator, values, (_BLUR * self._here.edge * self._here.scale) ** 2)
+        return diffuse(operator, values, (_BLUR * edge * self._here.scale) ** 2)
 
 
 def _told(found: Ints, codes: Ints, known: Bools, beside: sparse.csr_array) -> CarriedLabels:

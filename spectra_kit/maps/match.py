@@ -232,6 +232,7 @@ def matched_from(
         **(topologies(a.whole_surface, b.whole_surface) if seen else {}),
         landmark_distances=apart,
         lost_from=lost_from,
+        n_source=a.whole.n,
         initial=initial,
         unconnected=unconnected,
     )

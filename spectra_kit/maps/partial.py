@@ -169,6 +169,7 @@ def match_part(
         covered=covered,
         convincing_score=CONVINCING_PART,
         rims=(topology_of(part.surface).rim, topology_of(whole.surface).rim),
+        n_source=part.spectrum.n,
     )
     if not made.convincing:
         _warn_of(made)

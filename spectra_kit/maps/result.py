@@ -163,6 +163,8 @@ class Match(Rebuilt):
         0.05 where that is more.
     convincing_score : float
         Above which the score speaks against the map: 0.42, or 0.4 of the best of many regions.
+    n_source : int or None, optional
+        Number of source points; None where it is not known.
     initial : bool, default False
         Whether it was refined from a map that was given: nothing else was tried, and where that one
         is turned, so is this.
@@ -188,6 +190,7 @@ class Match(Rebuilt):
     landmark_distances: Floats | None = None
     lost_from: float = float("inf")
     convincing_score: float = calibration.CONVINCING_SCORE
+    n_source: int | None = None
     initial: bool = False
     unconnected: bool = False
 
@@ -320,7 +323,8 @@ class Match(Rebuilt):
         see `maps.Carrier`.
         """
         given = as_array("values", values)
-        n1 = max(len(given) if given.ndim else 0, 1 + int(self.point_map.max()))
+        least = 1 + int(self.point_map.max())
+        n1 = self.n_source or max(len(given) if given.ndim else 0, least)
         n1 = n1 if self.precise is None else self.precise.shape[1]
         along = self.point_map if self.precise is None else self.precise
         places = as_places("the match", along, n1, len(self.point_map))

@@ -114,6 +114,16 @@ def test_it_refuses(folder, tmp_path, capsys):
     assert "be a .npy or .csv" in refused(a, b, folder / "of_faces.npy", to=tmp_path / "x.ply")
     (tmp_path / "words.csv").write_text("1\nnone\n")
     assert "not a table of numbers" in refused(a, b, tmp_path / "words.csv")
+    for wrong in (np.array(3.0), np.zeros((162, 2, 3)), np.zeros((162, 0))):
+        np.save(tmp_path / "odd.npy", wrong)
+        assert "expected a row for each vertex" in refused(a, b, tmp_path / "odd.npy")
+    (tmp_path / "huge.csv").write_text("99999999999999999999\n" * 162)
+    carried = tmp_path / "huge.npy"
+    pair = (a, b, tmp_path / "huge.csv", "--maps", folder / "maps", "-o", carried)
+    assert record(capsys, "carry", *pair)["kind"] == "values of vertices"  # none wraps round
+    np.testing.assert_array_equal(np.load(carried), 1e20)
+    again = folder / "maps" / "point_map.npy"
+    assert "not replace an input" in refused(a, b, folder / "heights.npy", to=again)
     assert "not replace an input" in refused(a, b, folder / "marks.csv", to=folder / "marks.csv")
     write(bumpy(642), tmp_path / "fine.off")
     assert "is no map from 642 points" in refused(a, tmp_path / "fine.off", folder / "heights.npy")

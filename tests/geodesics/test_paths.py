@@ -1,10 +1,13 @@
 """Paths on triangles: planes, cubes, cones, cylinders, spheres by hand; any mesh by length."""
 
+import warnings
+
 import igl
 import numpy as np
 import pytest
 from conftest import bumpy, creature, joined, moebius, moved, refused
 from geodesic_truths import by_libigl, cube
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from test_exact_distances import LONE, square
 
@@ -309,6 +312,22 @@ def test_over_a_cloud_they_end_at_the_boundary_or_where_no_point_is():
     corner = int(np.argmin(flat.points[:, :2].sum(axis=1)))
     along = trace_geodesic(cloud, corner, [1, 0, 0], length=width)  # on the boundary itself
     np.testing.assert_allclose(along.points[-1], flat.points[corner] + [width, 0, 0], atol=1e-9)
+
+
+def test_over_a_cloud_they_do_not_leave_it_in_silence():
+    """A cube of points: beyond an edge, or at its end, but never in the air."""
+    grid = np.linspace(0, 1, 11)
+    points = np.stack(np.meshgrid(grid, grid, grid), axis=-1).reshape(-1, 3)
+    cloud = PointCloud(points[((points == 0) | (points == 1)).any(axis=1)])
+    start = int(np.argmin(np.linalg.norm(cloud.points - [0.4, 0.4, 1], axis=1)))
+    for towards in ([1, 0.2, 0], [0.3, 1, 0], [-1, 0.7, 0]):
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            path = trace_geodesic(cloud, start, towards, length=2.0)
+        away, _ = cKDTree(cloud.points).query(path.points)
+        assert away.max() < 0.15  # of spacings of 0.1, where 0.07 is as far as a face has it
+        assert all(one.category is DoubtfulDistanceWarning for one in told)
+        assert told or path.length == pytest.approx(2.0)
 
 
 # --- locally shortest ---

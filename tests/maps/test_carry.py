@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from conftest import bumpy, creature, data_folder, refused
+from conftest import bumpy, creature, data_folder, joined, moved, refused
+from scipy import sparse
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from studies.matching.subjects import subjects_in, truth_between
@@ -73,6 +76,29 @@ def test_along_the_identity_nothing_changes():
     np.testing.assert_allclose(carrier.deformation(bent), bent, atol=1e-9)
 
 
+def test_along_the_identity_nothing_changes_of_uneven_parts_wound_inwards():
+    """Needles beside large triangles: what is nearest lies in no triangle at the nearest corner."""
+    mesh = creature(600)
+    for _ in range(3):  # cut at their middles, again and again, in one place
+        near = np.linalg.norm(mesh.points[mesh.faces].mean(axis=1) - mesh.points[7], axis=1) < 0.3
+        a, b, c = mesh.faces[near].T
+        d = mesh.n + np.arange(len(a))
+        points = np.vstack([mesh.points, mesh.points[mesh.faces[near]].mean(axis=1)])
+        cut = [np.stack(corners, axis=1) for corners in ((a, b, d), (b, c, d), (c, a, d))]
+        mesh = TriangleMesh(points, np.vstack([mesh.faces[~near], *cut]))
+    mesh = TriangleMesh(mesh.points, mesh.faces[:, ::-1])
+    mesh = joined(mesh, moved(mesh, 0.5, 3.0, 0.0, scale=0.3))
+    carrier, numbers = Carrier(mesh, mesh, np.arange(mesh.n)), np.arange(len(mesh.faces))
+    np.testing.assert_array_equal(carrier.face_labels(numbers).labels, numbers)
+    for face in numbers[::97].tolist():
+        (there,) = carrier.landmarks(FacePoint(face, (0.7, 0.2, 0.1)))
+        assert there.face == face
+        np.testing.assert_allclose(there.barycentric, (0.7, 0.2, 0.1), atol=1e-9)
+    half = mesh.points @ TURN.as_matrix() + [1, 2, 3]
+    bent = np.where(mesh.component_labels[:, None] == 0, half, mesh.points)  # one of them moves
+    np.testing.assert_allclose(carrier.deformation(bent), bent, atol=1e-9)
+
+
 def test_labels_are_as_sure_as_what_is_around_agrees():
     mesh = bumpy()
     halves = (mesh.points[:, 2] > 0).astype(int)
@@ -138,6 +164,26 @@ def test_textures_do_not_cross_their_seams():
     assert (abs(np.round(apart)) > 0).any()  # both sides of the seams are there
 
 
+def test_textures_keep_to_their_charts():
+    """Six charts, by the side that faces look to, one upon the other: nothing changes."""
+    mesh = bumpy()
+    a, b, c = (mesh.points[corner] for corner in mesh.faces.T)
+    normals = np.cross(b - a, c - a)
+    axis = np.abs(normals).argmax(axis=1)
+    side = 2 * axis + (normals[np.arange(len(axis)), axis] > 0)
+    pairs = np.column_stack([side.repeat(3), mesh.faces.ravel()])
+    (charts, points), named = np.unique(pairs.T, axis=1, return_inverse=True)
+    plane = np.array([[1, 2], [0, 2], [0, 1]])[charts // 2]
+    uv, named = np.take_along_axis(mesh.points[points], plane, axis=1), named.reshape(-1, 3)
+    carrier = Carrier(mesh, mesh, np.arange(mesh.n))
+    np.testing.assert_allclose(carrier.texture(uv, named), uv[named], atol=1e-12)
+    soft = np.eye(mesh.n)  # each point mixed with those around it
+    i, j = mesh.unique_edges[0].T
+    soft[i, j] = soft[j, i] = 0.1
+    mixed = Carrier(mesh, mesh, sparse.csr_array(soft / soft.sum(axis=1, keepdims=True)))
+    assert abs(mixed.texture(uv, named) - uv[named]).max() < 0.25  # and no chart away
+
+
 def test_an_affine_deformation_is_carried_as_it_is():
     source, still, carrier = rings(1500, 1200)
     linear = np.array([[1.0, 0.2, 0.0], [0.0, 1.5, -0.3], [0.1, 0.0, 0.8]])
@@ -170,6 +216,7 @@ def test_nothing_is_said_where_nothing_corresponds():
         covered=covered,
     )
     carrier, x = Carrier(mesh, mesh, match), mesh.points[:, 0]
+    tails = x < -0.3
     for carried in (carrier.values(x), match.carry(x)):
         np.testing.assert_array_equal(np.isnan(carried), ~covered)
     vectors = carrier.vectors(mesh.points)
@@ -184,6 +231,8 @@ def test_nothing_is_said_where_nothing_corresponds():
     np.testing.assert_array_equal(np.isnan(carrier.face_values(ones * 1.0)), ~kept)
     uv = carrier.texture(mesh.points[:, :2], mesh.faces)
     np.testing.assert_array_equal(np.isnan(uv).any(axis=(1, 2)), ~kept)
+    stretched = carrier.deformation(mesh.points * [2, 1, 1])
+    np.testing.assert_allclose(stretched[tails], (mesh.points * [2, 1, 1])[tails], atol=0.02)
     nose, tail = int(np.argmax(x)), int(np.argmin(x))
     assert carrier.landmarks([nose, tail]) == [None, tail]
     assert not carrier.back.known[nose]
@@ -216,16 +265,21 @@ def test_a_match_carries_what_its_map_does():
     legs = (source.points[:, 2] < 0).astype(int)
     assert (match.carry(legs) == legs[truth]).mean() > 0.95
     assert match.carry(legs).dtype.kind == "i"
+    of_faces = np.zeros(len(source.faces), int)
+    for found in (match, replace(match, precise=None)):
+        refused("values", "be integers of shape (700,)", found.carry, of_faces)
 
 
 def test_they_refuse():
     mesh = bumpy(162)
     carrier = Carrier(mesh, mesh, np.arange(mesh.n))
     refused("along", "have shape (162,)", Carrier, mesh, mesh, [0, 1])
-    refused("along", "lead somewhere", Carrier, mesh, mesh, 0.5 * precise(mesh, mesh))
+    refused("along", "have rows of weights", Carrier, mesh, mesh, 0.5 * precise(mesh, mesh))
+    refused("along", "lead somewhere", Carrier, mesh, mesh, 0.0 * precise(mesh, mesh))
     refused("values", "have shape (162, ...)", carrier.values, [1.0, 2.0])
     refused("values", f"have shape ({len(mesh.faces)}, ...)", carrier.face_values, np.ones(162))
     refused("labels", "be integers of shape (162,)", carrier.labels, np.ones(162))
+    refused("labels", "fit into 64 bits", carrier.labels, np.full(162, 2**63, np.uint64))
     refused("vectors", "have shape (162, 3)", carrier.vectors, np.ones(162))
     refused("coordinates", "have shape (t, 2)", carrier.texture, mesh.points, mesh.faces)
     refused("points", "have shape (162, ...)", carrier.deformation, mesh.points[:9])

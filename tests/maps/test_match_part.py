@@ -99,7 +99,7 @@ def test_a_mirrored_part_is_seen_as_one(mesh, headless, whole) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("four_regions")
 def test_a_limb_is_found(mesh, whole) -> None:
-    """Head and neck; of the head alone some processors find less: rounding decides between rivals."""
+    """Head and neck; of the head alone some processors find less, as rounding picks the rival."""
     assert covers_what_is_left(mesh, whole, mesh.points[:, 0] > 0.2) > 0.95
 
 
