@@ -169,7 +169,7 @@ class SparseLDL:
         In float32, of arithmetic and solution, it takes half the memory and time; the error is some
         1e-7 times the condition of A.
         """
-        from spectra_kit._sparse._lane_kernels import LANES, solve_columns
+        from spectra_kit._sparse._lane_kernels import LANES, solve_column, solve_columns
 
         real = real_dtype("dtype", dtype)
         if np.iscomplexobj(rhs):
@@ -182,12 +182,11 @@ class SparseLDL:
         pattern = (known.order, known.begins, known.first, known.rows, known.panels)
         columns = rhs.size // max(self.n, 1)
         block = (rhs.reshape(self.n, columns), out.reshape(self.n, columns))
-        given = (*pattern, lower, inverse, *block)
-        if 0 < columns <= LANES:  # as ARPACK asks, thousands of times
-            solve_columns(*given, 0, columns)
-        elif columns:
-            cuts = shares(columns, -(-columns // LANES))
-            in_threads(solve_columns, ((*given, *cut) for cut in cuts))
+        cuts = shares(columns, -(-columns // LANES)) if columns else []
+        if columns == 1:  # as ARPACK asks, thousands of times
+            solve_column(*pattern, lower, inverse, *block, 0, 1)
+        else:
+            in_threads(solve_columns, ((*pattern, lower, inverse, *block, *cut) for cut in cuts))
         return out
 
     @cached_property
