@@ -13,10 +13,13 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from conftest import bumpy, moved
 
 import spectra_kit
 from spectra_kit import show
+from spectra_kit.cli import main
 from spectra_kit.cli.program import parse
+from spectra_kit.geometry import write
 from spectra_kit.show import explorer
 
 ROOT = Path(__file__).parents[2]
@@ -126,6 +129,28 @@ def test_the_command_lines_of_the_guide_are_accepted() -> None:
     assert len(commands) > 3
     for _, *arguments in commands:
         parse(arguments)  # raises where it has no use for one
+
+
+@pytest.mark.parametrize("page", ["brains", "cells", "parts"])
+def test_the_commands_for_a_trade_run_on_its_files(page, tmp_path, monkeypatch, capsys) -> None:
+    """Two shapes where the page has its files; every row of the table is there."""
+    freesurfer = pytest.importorskip("nibabel", reason="it writes .pial").freesurfer
+    monkeypatch.chdir(tmp_path)
+    files = {"brains": ["subjects/{}/surf/lh.pial"], "cells": ["cells/{}.ply"]}
+    (pattern,) = files.get(page, ["scans/monday/{}.ply"])
+    for name, mesh in (("one", bumpy(162)), ("two", moved(bumpy(162), 1, 0, 0, scale=2.0))):
+        path = Path(pattern.format(name))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix == ".pial":
+            freesurfer.write_geometry(path, mesh.points, mesh.faces)
+        else:
+            write(mesh, path)
+    for line in "\n".join(blocks("bash", [DOCS / f"{page}.md"])).splitlines():
+        _, *arguments = shlex.split(line, comments=True)
+        assert main([*arguments, "--nworkers", "0", "-q"]) == 0, capsys.readouterr().err
+        table = Path(arguments[arguments.index("--csv") + 1]).read_text().splitlines()
+        assert len(table) == 3
+        assert "dna_by_area_1" in table[0] or "--distances" not in arguments
 
 
 def write_notebook(path: Path, text: str) -> None:
