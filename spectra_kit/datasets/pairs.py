@@ -362,7 +362,7 @@ def _arrays(match: Match) -> dict[str, NDArray[Any]]:
         *(np.nan if one is None else one for one in (match.orientation, match.discontinuity)),
         *(match.margin, match.mirror_margin, match.consistent, match.coverage),
         *(match.clustered, *match.rims, *(match.genera or (np.nan, np.nan))),
-        float(match.unconnected),
+        *(float(match.unconnected), float(match.n_source or 0)),
     ]
     return {
         "point_map": match.point_map,
@@ -416,5 +416,6 @@ def _restored(arrays: Mapping[str, NDArray[Any]]) -> Match:
         clustered=clustered,
         rims=(rims[0], rims[1]),
         genera=None if np.isnan(genus) else (int(genus), int(other)),
-        unconnected=bool(sum(more[5:])),
+        unconnected=bool(sum(more[5:6])),
+        n_source=int(sum(more[6:7])) or None,
     )

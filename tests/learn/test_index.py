@@ -91,6 +91,8 @@ def test_what_was_made_otherwise_is_not_taken_over(folder, index, embedded):
     assert len(embedded) == 3
 
 
+# What these predict, who have learned nothing, need not come near enough on every processor.
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 def test_other_weights_under_the_same_name_are_other_weights(folder, tmp_path, embedded):
     path = tmp_path / "w.safetensors"
     config = NeoConfig(width=16, depth=1, heads=2, head_width=8, latents=4, m=40, k=24)
