@@ -69,15 +69,16 @@ def carry(asked: CarryOptions) -> None:
         source, target = sk.read(asked.source), sk.read(asked.target)
         carrier = sk.maps.Carrier(source, target, _map_in(asked.maps, source, target))
         given = _read(asked.values)
+        on_faces = not asked.marks and _on_faces(asked, source, given)
     with step("carrying"):
         if asked.marks:
             kind, sure, found = "landmarks", None, _landmarks(asked, carrier, given)
             lacking = int(np.isnan(found[:, 0]).sum())
         else:
-            kind, found, lacking, sure = _carried(asked, carrier, given)
+            kind, found, lacking, sure = _carried(carrier, given, on_faces)
     head = "x,y,z,face,weight0,weight1,weight2" if asked.marks else ""
     with step(f"writing {asked.output}"):
-        _write(asked.output, target, found, head, on_faces="face" in kind)
+        _write(asked.output, target, found, head)
     record = {
         **{"source": str(asked.source), "target": str(asked.target), "values": asked.values},
         **{"kind": kind, "carried": len(found), "undefined": lacking, "confidence": sure},
@@ -93,20 +94,29 @@ def carry(asked: CarryOptions) -> None:
     )
 
 
-def _carried(
-    asked: CarryOptions, carrier: "Carrier", given: "np.ndarray"
-) -> tuple[str, "np.ndarray", int, float | None]:
-    """Return what of which kind is carried, how much is not, and how sure labels are."""
-    faces = len(carrier.source.faces) if isinstance(carrier.source, sk.TriangleMesh) else None
-    on_faces = len(given) == faces != carrier.source.n
-    if len(given) not in (carrier.source.n, faces):
-        what = f"{carrier.source.n} vertices" + (f" or {faces} faces" if faces else "")
+def _on_faces(asked: CarryOptions, source: "Geometry", given: "np.ndarray") -> bool:
+    """Tell whether faces have what is given, or vertices; refuse what neither can have."""
+    faces = len(source.faces) if isinstance(source, sk.TriangleMesh) else None
+    if len(given) == source.n:
+        return False
+    if len(given) != faces:
+        what = f"{source.n} vertices" + (f" or {faces} faces" if faces else "")
         with of_file(asked.values):
             raise InvalidInputError(
                 f"holds {quantity(len(given), 'row')}, expected one for each of {what} of"
                 f" {asked.source}",
                 advice="are SOURCE and TARGET exchanged?",
             )
+    if asked.output.suffix.lower() not in _TABLES:
+        expected = f"be a {' or '.join(_TABLES)} file for what faces have"
+        raise InvalidInputError("output", expected, repr(str(asked.output)))
+    return True
+
+
+def _carried(
+    carrier: "Carrier", given: "np.ndarray", on_faces: bool
+) -> tuple[str, "np.ndarray", int, float | None]:
+    """Return what of which kind is carried, how much is not, and how sure labels are."""
     what = "faces" if on_faces else "vertices"
     if given.dtype.kind in "biu" and given.ndim == 1:
         given = given.astype(np.int64) if given.dtype.kind == "b" else given
@@ -214,13 +224,8 @@ def _is_row(line: str) -> bool:
         return False
 
 
-def _write(
-    path: Path, target: "Geometry", found: "np.ndarray", head: str, *, on_faces: bool
-) -> None:
+def _write(path: Path, target: "Geometry", found: "np.ndarray", head: str) -> None:
     suffix = path.suffix.lower()
-    if on_faces and suffix not in _TABLES:
-        expected = f"be a {' or '.join(_TABLES)} file for what faces have"
-        raise InvalidInputError("output", expected, repr(str(path)))
     if suffix in _MESHES:
         sk.write(target, path, point_data={"carried": found})
     elif suffix in _OVERLAYS:
