@@ -292,7 +292,7 @@ class _Run:
             return self._sigma + 1 / inverse, X, errors
         # One more product takes out what rounding left of frequencies.
         images = X if self._weighed is None else self._weighed(X)
-        X = np.ascontiguousarray((self._factor.solve(images.T) / inverse).T)
+        X = self._factor.solve_rows(images) / inverse[:, None]
         images = X if self._weighed is None else self._weighed(X)
         error = inner(X, images) - np.eye(len(kept))
         return self._sigma + 1 / inverse, X - combined(error / 2, X), errors

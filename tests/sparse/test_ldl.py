@@ -12,7 +12,8 @@ from scipy.sparse.linalg import spsolve
 from threadpoolctl import threadpool_limits
 
 from spectra_kit import InvalidInputError, robust_laplacian
-from spectra_kit._sparse import Inertia, SparseLDL, products, spmm
+from spectra_kit._sparse import Inertia, SparseLDL, ldl, products, spmm
+from spectra_kit._sparse.elimination import Elimination
 from spectra_kit.geometry import sphere
 
 
@@ -49,20 +50,46 @@ def test_float32_is_as_accurate_as_its_rounding() -> None:
     assert 0 < np.abs(single - exact).max() < 6e-8 * condition * np.abs(exact).max()
 
 
+@pytest.mark.parametrize("side", [30, 130])  # the larger has subtrees for threads
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
-def test_bits_depend_neither_on_threads_nor_on_neighbours(monkeypatch, dtype) -> None:
-    A = grid(30)
-    b = np.random.default_rng(0).standard_normal((900, 90)).astype(dtype)
-    factor = SparseLDL(A)
+def test_bits_depend_neither_on_threads_nor_on_neighbours(monkeypatch, side, dtype) -> None:
+    A = grid(side)
+    b = np.random.default_rng(0).standard_normal((side**2, 90)).astype(dtype)
     monkeypatch.setattr(products, "_SMALL", 0)
+    monkeypatch.setattr(ldl, "WORTH_SHARING", 0)
     results = []
     for threads in (1, 5):
         monkeypatch.setenv("NUMBA_NUM_THREADS", str(threads))
-        results.append((factor.solve(b, dtype=dtype), spmm(A, b)))
+        factor = SparseLDL(A)
+        some, one = factor.solve(b[:, :7], dtype=dtype), factor.solve(b[:, 7], dtype=dtype)
+        results.append((factor.solve(b, dtype=dtype), some, one, factor.pivots, spmm(A, b)))
     for one, other in zip(*results, strict=True):
         assert np.array_equal(one, other)
-    assert np.array_equal(factor.solve(b[:, 7], dtype=dtype), results[0][0][:, 7])
-    assert np.array_equal(factor.solve(np.asfortranarray(b), dtype=dtype), results[0][0])
+    everything, some, one, *_ = results[0]
+    assert np.array_equal(some, everything[:, :7])
+    assert np.array_equal(one, everything[:, 7])
+    assert np.array_equal(factor.solve(np.asfortranarray(b), dtype=dtype), everything)
+    if dtype is np.float64:
+        assert np.array_equal(factor.solve_rows(np.ascontiguousarray(b.T)).T, everything)
+        assert np.abs(A @ everything - b).max() < 1e-10
+
+
+def test_subtrees_are_all_there_and_do_not_meet() -> None:
+    """What one needs of the rest are rows above it; two threads have about the same to do."""
+    for matrix in (grid(130), sparse.csr_array(sparse.block_diag([grid(40)] * 9))):
+        elimination = Elimination.of(matrix)
+        runs = elimination.runs
+        assert (runs.tails <= runs.heads).all()
+        assert (runs.heads[:-1] < runs.tails[1:]).all()
+        for tail, head in zip(runs.tails, runs.heads, strict=True):
+            assert (runs.above[tail:head] > np.arange(tail, head)).all()
+            assert (runs.above[tail:head] <= head).all()
+            assert not np.isin(runs.above[:tail], np.arange(tail, head + 1)).any()
+        for threads in (1, 2, 5):
+            hands = elimination.side_by_side(threads)
+            assert sorted(np.concatenate(hands)) == list(range(len(runs.heads)))
+        loads = [elimination.work[hand].sum() for hand in elimination.side_by_side(2)]
+        assert max(loads) < 1.3 * min(loads)
 
 
 def test_inertia_counts_the_signs_of_the_eigenvalues() -> None:
