@@ -8,8 +8,6 @@ ACM TOMS 9, 1983). Only upper triangles are kept, by rows: loops run over neighb
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
@@ -173,57 +171,43 @@ def front_rows(
 
 
 @compiled()
-def subtrees(
-    begins: Ints, first: Longs, rows: Ints, above: Ints, work: Longs, most: int
-) -> tuple[Ints, Ints, Ints, Ints, Longs, Longs]:
-    """Return last and first supernode of each subtree whose work is at most so much, by itself.
+def find_subtrees(
+    begins: Ints,
+    first: Longs,
+    rows: Ints,
+    above: Ints,
+    whole: Longs,
+    most: int,
+    subtrees: Longs,
+    places: Ints,
+    longs: Longs,
+) -> int:
+    """Write which supernodes are subtrees that do `most` at most, as ``[begin, end)``.
 
-    Those that do a thirty-second of that are left with what is above. Then where the rows that each
-    has outside begin, rows that lead there, and `Elimination.sizes` and `work`.
+    Those that do a thirty-second of that are left with what is above. `whole` is what each
+    supernode does, then with all below it; `places`, the rows at first, are `Elimination.places`.
+    To work in: `longs`, (2, n). Returns how many there are.
     """
     n, count = begins[-1], len(begins) - 1
-    whole, tail = np.empty(count, np.int64), np.empty(count, np.int32)
-    done = np.empty(count, np.int64)  # numbers of updates that wait for a supernode
+    tail, slot = longs[0], longs[1]
     for s in range(count):
-        whole[s], tail[s], done[s] = work[s], s, 0
+        tail[s] = s
     for s in range(count):
         if above[s] >= 0:
             whole[above[s]] += whole[s]
             tail[above[s]] = min(tail[above[s]], tail[s])
-    heads, many = np.empty(count, np.int32), 0
+    many, slots = 0, np.int64(n)
     for s in range(count):
         if most // 32 < whole[s] <= most and (above[s] < 0 or whole[above[s]] > most):
-            heads[many] = s
+            subtrees[many, 0], subtrees[many, 1] = tail[s], s + 1
             many += 1
-    tails, slots = np.empty(many, np.int32), np.empty(many + 1, np.int32)
-    sizes, own = np.empty((many + 1, 2), np.int64), np.empty(many, np.int64)
-    places, slot = rows.copy(), np.empty(n, np.int32)
-    slots[0] = n
-    for t in range(many + 1):
-        low, high = 0, count
-        if t < many:
-            low, high = tail[heads[t]] + 0, heads[t] + 1
-            tails[t], own[t] = low, whole[high - 1]
-            outside, end = first[high - 1], begins[high]
-            slots[t + 1] = slots[t] + first[high] - outside
-            for p in range(outside, first[high]):
-                slot[rows[p]] = slots[t] + p - outside
-            for p in range(first[low], first[high]):
-                if rows[p] >= end:
+            for p in range(first[s], first[s + 1]):
+                slot[rows[p]] = slots
+                slots += 1
+            for p in range(first[tail[s]], first[s + 1]):
+                if rows[p] >= begins[s + 1]:
                     places[p] = slot[rows[p]]
-        waiting = np.int64(0)
-        sizes[t, 0], sizes[t, 1] = 0, 0
-        for s in range(low, high):
-            done[s] = 0
-        for s in range(low, high):
-            u = first[s + 1] - first[s]
-            m = u + begins[s + 1] - begins[s]
-            update = u * (u + 1) // 2
-            waiting += update - done[s]
-            if 0 <= above[s] < high:
-                done[above[s]] += update
-            sizes[t, 0], sizes[t, 1] = max(sizes[t, 0], m * m), max(sizes[t, 1], waiting)
-    return heads[:many].copy(), tails, slots, places, sizes, own
+    return many
 
 
 @register_jitable
@@ -249,8 +233,14 @@ def factorise(
     starts: Ints,
     columns: Ints,
     values: Floats,
+    order: Ints,
     place: Ints,
-    runs: Any,
+    begins: Ints,
+    first: Longs,
+    rows: Ints,
+    above: Ints,
+    panels: Longs,
+    subtrees: Longs,
     sizes: Longs,
     factor: Floats,
     pivots: Floats,
@@ -261,32 +251,29 @@ def factorise(
     """Write L^T and D of ``(I + L) D (I + L)^T``; return the place of a bad pivot, or -1.
 
     Those of one subtree, and to `updates` what it has for the runs above, from ``spots[subtree]``
-    on; or, with the number of subtrees, all that is above them. `place` inverts ``runs.order``.
+    on; or, with the number of subtrees, all that is above them. `place` inverts `order`.
     L^T is held by supernodes, from ``panels[s]`` on: for each of its columns what is right of the
     diagonal, in the columns behind it of the supernode and in those of `rows`.
     """
-    order, begins, first, rows, above = runs.order, runs.begins, runs.first, runs.rows, runs.above
-    panels, heads, tails = runs.panels, runs.heads, runs.tails
-    n, many = len(order), len(heads)
+    n, many = len(order), len(subtrees)
     most = sizes[subtree, 0]
     local, front, waiting = np.empty(n, np.int32), np.empty(most), np.empty(sizes[subtree, 1])
     s, last, ready = 0, len(begins) - 1, 0
     if subtree < many:
-        s, last, ready = tails[subtree] + 0, heads[subtree] + 1, many
+        s, last, ready = subtrees[subtree, 0], subtrees[subtree, 1], many
     behind = np.empty(last - s, np.int32)
     top, high = 0, 0
     four = np.empty((4, int(np.sqrt(most)) + 1))
     while s < last:
-        if ready < many and tails[ready] == s:
-            s = heads[ready] + 0
+        if ready < many and subtrees[ready, 0] == s:
+            s = subtrees[ready, 1]
             for p in range(spots[ready], spots[ready + 1]):
                 waiting[top] = updates[p]
                 top += 1
             if spots[ready] < spots[ready + 1]:
-                behind[high] = s
+                behind[high] = s - 1
                 high += 1
             ready += 1
-            s += 1
             continue
         a, b = begins[s], begins[s + 1]
         width, u = b - a, first[s + 1] - first[s]

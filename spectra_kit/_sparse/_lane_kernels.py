@@ -164,19 +164,24 @@ def _times(typing: Any, factor: Any, x: Any) -> Any:
     return x(x.dtype, x), generate
 
 
-#: What `solve_lanes` does: the subtrees, what is above them, and the subtrees again.
-DOWN, TOP, UP = 1, 2, 4
+#: What `solve_lanes` does: ``I + L``, then ``D (I + L)^T``; with what subtrees have for the others.
+DOWN, UP, MEET = 1, 2, 4
 
 
 @compiled()
 def solve_lanes(
-    runs: Any,
+    order: Ints,
+    begins: Ints,
+    first: Longs,
+    places: Ints,
+    panels: Longs,
+    outside: Ints,
     factor: Reals,
     inverse: Reals,
     rhs: Reals,
     out: Reals,
     y: Reals,
-    subtrees: Longs,
+    spans: Longs,
     what: int,
     left: int,
     right: int,
@@ -184,80 +189,61 @@ def solve_lanes(
     """Write the solution of ``P (I + L) D (I + L)^T P^T x = rhs`` to `out`, both (n, s).
 
     For the columns `left` to `right`, eight at most; fewer take the time of eight. All lanes do the
-    same, so that the bits of a solution do not depend on the others. One column where `y`, with
-    the last of ``runs.slots`` as rows, has no second axis: in a third to two thirds of the time, to
-    the bit. Parts of `what` may be done for some `subtrees` each, one part after the other.
+    same, so that the bits of a solution do not depend on the others. One column where `y` has no
+    second axis: in a third to two thirds of the time, to the bit. Only for runs in `spans`, (j, 2).
+    Rows of `y` behind the n are those `outside` of subtrees, as these know them: zeros at first,
+    which are added to the others, and then taken from them, where subtrees are to `MEET`.
     """
-    order, begins, first = runs.order, runs.begins, runs.first
-    heads, tails, slots = runs.heads, runs.tails, runs.slots
-    count, many = len(begins) - 1, len(heads)
+    n = len(order)
     most = 0
-    for s in range(count):
+    for s in range(len(begins) - 1):
         most = max(most, begins[s + 1] - begins[s] + first[s + 1] - first[s])
     work = np.empty(most, factor.dtype) if y.ndim == 1 else np.empty((most, LANES), factor.dtype)
     if what & DOWN:
-        for t in subtrees:
-            _fetch(rhs, left, right, order, begins[tails[t]], begins[heads[t] + 1], y)
-            for i in range(slots[t], slots[t + 1]):
-                y[i] = 0.0
-            _down(tails[t], heads[t] + 1, runs, factor, y, work)
-    if what & TOP:
-        for t in range(many + 1):
-            begin = 0 if t == 0 else begins[heads[t - 1] + 1]
-            _fetch(rhs, left, right, order, begin, len(order) if t == many else begins[tails[t]], y)
-        for t in range(many):
-            low = first[heads[t]] - slots[t]
-            for i in range(slots[t], slots[t + 1]):
-                _put(y, runs.rows[low + i], _plus(y, runs.rows[low + i], i))
-        for t in range(many + 1):
-            begin = 0 if t == 0 else heads[t - 1] + 1
-            _down(begin, count if t == many else tails[t], runs, factor, y, work)
-        for t in range(many, -1, -1):
-            begin = 0 if t == 0 else heads[t - 1] + 1
-            end = count if t == many else tails[t] + 0
-            _up(begin, end, runs, factor, inverse, y, work)
-            _send(out, left, right, order, begins[begin], begins[end], y)
+        for j in range(len(spans)):
+            for i in range(begins[spans[j, 0]], begins[spans[j, 1]]):
+                if y.ndim == 1:
+                    y[i] = rhs[order[i], left] + 0.0  # no lane has a zero with a sign
+                else:
+                    for c in range(LANES):
+                        y[i, c] = rhs[order[i], left + c] + 0.0 if c < right - left else 0.0
+        if what & MEET:
+            for i in range(len(outside)):
+                _put(y, outside[i], _plus(y, outside[i], n + i))
+        for j in range(len(spans)):
+            _down(spans[j, 0], spans[j, 1], begins, first, places, panels, factor, y, work)
     if what & UP:
-        for t in subtrees:
-            low = first[heads[t]] - slots[t]
-            for i in range(slots[t], slots[t + 1]):
-                _copy(y, i, y, runs.rows[low + i])
-            _up(tails[t], heads[t] + 1, runs, factor, inverse, y, work)
-            _send(out, left, right, order, begins[tails[t]], begins[heads[t] + 1], y)
+        for j in range(len(spans) - 1, -1, -1):
+            _up(spans[j, 0], spans[j, 1], begins, first, places, panels, factor, inverse, y, work)
+        if what & MEET:
+            for i in range(len(outside)):
+                _copy(y, n + i, y, outside[i])
+        for j in range(len(spans)):
+            for i in range(begins[spans[j, 0]], begins[spans[j, 1]]):
+                if y.ndim == 1:
+                    out[order[i], left] = y[i]
+                else:
+                    for c in range(right - left):
+                        out[order[i], left + c] = y[i, c]
 
 
 @register_jitable
-def _fetch(rhs: Reals, left: int, right: int, order: Ints, begin: int, end: int, y: Reals) -> None:
-    """Take rows of the right-hand sides in the order of elimination; other lanes are zero."""
-    for i in range(begin, end):
-        if y.ndim == 1:
-            y[i] = rhs[order[i], left] + 0.0  # no lane has a zero with a sign
-        else:
-            for c in range(left, right):
-                y[i, c - left] = rhs[order[i], c] + 0.0
-            for c in range(right - left, LANES):
-                y[i, c] = 0.0
-
-
-@register_jitable
-def _send(out: Reals, left: int, right: int, order: Ints, begin: int, end: int, y: Reals) -> None:
-    """Write rows of the solutions where they belong."""
-    for i in range(begin, end):
-        if y.ndim == 1:
-            out[order[i], left] = y[i]
-        else:
-            for c in range(left, right):
-                out[order[i], c] = y[i, c - left]
-
-
-@register_jitable
-def _down(begin: int, end: int, runs: Any, factor: Reals, y: Reals, work: Reals) -> None:
+def _down(
+    begin: int,
+    end: int,
+    begins: Ints,
+    first: Longs,
+    rows: Ints,
+    panels: Longs,
+    factor: Reals,
+    y: Reals,
+    work: Reals,
+) -> None:
     """Solve with I + L in place for lanes `y`, in the order of elimination, for some runs.
 
     In `work` the rows of a run of columns lie side by side; four of these columns are read in one
     pass.
     """
-    begins, first, rows, panels = runs.begins, runs.first, runs.places, runs.panels
     for s in range(begin, end):
         a, width, low = begins[s], begins[s + 1] - begins[s], first[s]
         u = first[s + 1] - low
@@ -303,10 +289,18 @@ def _down(begin: int, end: int, runs: Any, factor: Reals, y: Reals, work: Reals)
 
 @register_jitable
 def _up(
-    begin: int, end: int, runs: Any, factor: Reals, inverse: Reals, y: Reals, work: Reals
+    begin: int,
+    end: int,
+    begins: Ints,
+    first: Longs,
+    rows: Ints,
+    panels: Longs,
+    factor: Reals,
+    inverse: Reals,
+    y: Reals,
+    work: Reals,
 ) -> None:
     """Do the same with ``D (I + L)^T``, from the last run to the first."""
-    begins, first, rows, panels = runs.begins, runs.first, runs.places, runs.panels
     for s in range(end - 1, begin - 1, -1):
         a, width, low = begins[s], begins[s + 1] - begins[s], first[s]
         u = first[s + 1] - low

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,48 +52,32 @@ def pattern(matrix: sparse.csr_array) -> tuple[NDArray[np.int32], NDArray[np.int
 _MAX_ENTRIES = 2**31 - 1  # of a matrix: 32-bit indices
 
 
-class Runs(NamedTuple):
-    """The columns that are eliminated together, and which of them do not wait for others.
+@dataclass(frozen=True, eq=False, repr=False)
+class Elimination:
+    """All of a factor that the pattern of a matrix decides; serves each of that pattern.
 
-    Columns are eliminated in `order`, in runs from ``begins[s]`` on that have the same rows below
-    them, ``rows[first[s]:first[s + 1]]``, counted in that order; ``above[s]`` is the run whose
-    columns these begin with, and the factor holds run s from ``panels[s]`` on. Each of t subtrees,
-    the runs from ``tails[i]`` to ``heads[i]``, needs nothing of the others: what it adds to the
-    rows outside, those of its head, has ``slots[i]`` and on as its own places behind the n columns.
-    `places` are the rows with these instead. What threads do side by side are subtrees.
+    Make one with `of`. Columns are eliminated in `order`, in runs from ``begins[s]`` on that have
+    the same rows below them, ``rows[first[s]:first[s + 1]]``, counted in that order; ``above[s]``
+    is the run whose columns these begin with, and the factor holds run s from ``panels[s]`` on.
+    `subtrees`, of shape (t, 2), are ranges of runs that need nothing of the others, which threads
+    may do side by side. `work` is what a solve does in each, and `sizes`, of shape (t + 1, 2), are
+    those of memory that the numbers need while they are made, in each, and last in all one after
+    the other. What they add to rows outside of them is kept apart: `places` are the rows of their
+    runs, where those `outside` are counted from n on.
     """
 
+    starts: NDArray[np.int32]
+    columns: NDArray[np.int32]
     order: NDArray[np.int32]
     begins: NDArray[np.int32]
     first: NDArray[np.int64]
     rows: NDArray[np.int32]
     above: NDArray[np.int32]
     panels: NDArray[np.int64]
-    heads: NDArray[np.int32]
-    tails: NDArray[np.int32]
-    slots: NDArray[np.int32]
-    places: NDArray[np.int32]
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Elimination:
-    """All of a factor that the pattern of a matrix decides; serves each of that pattern.
-
-    Make one with `of`. `sizes`, of shape (t + 1, 2), are numbers that the front and the waiting
-    updates of each subtree take while they are made, and last those of all runs one after the
-    other. `work` is what a solve does in each subtree.
-    """
-
-    starts: NDArray[np.int32]
-    columns: NDArray[np.int32]
-    runs: Runs
-    sizes: NDArray[np.int64]
+    subtrees: NDArray[np.int64]
     work: NDArray[np.int64]
-
-    @property
-    def order(self) -> NDArray[np.int32]:
-        """The points as they are eliminated."""
-        return self.runs.order
+    sizes: NDArray[np.int64]
+    places: NDArray[np.int32]
 
     @staticmethod
     def of(matrix: sparse.csr_array) -> Elimination:
@@ -106,8 +91,7 @@ class Elimination:
     @property
     def gigabytes(self) -> float:
         """What a factor takes in GiB, and all that is held while it is made."""
-        own = (self.starts, self.columns, *self.runs)
-        shared = sum(int(part.nbytes) for part in own)
+        shared = sum(int(getattr(self, part.name).nbytes) for part in fields(self))
         beside, last = int(self.sizes[:-1].sum()), int(self.sizes[-1].sum())
         numbers = self.fill + 2 * len(self.order) + max(beside, last) + int(self.updates[-1])
         return (8 * numbers + shared) / 2**30
@@ -115,13 +99,37 @@ class Elimination:
     @property
     def fill(self) -> int:
         """Entries that a factor holds below its diagonal; some of them are zero."""
-        return int(self.runs.panels[-1])
+        return int(self.panels[-1])
+
+    @cached_property
+    def runs(self) -> tuple[Any, ...]:
+        """Arrays that a solve asks for, for which there is no other word than their names."""
+        return self.order, self.begins, self.first, self.places, self.panels, self.outside
 
     @property
+    def _heads(self) -> NDArray[np.int64]:
+        """The last run of each subtree, whose rows are all that are outside of it."""
+        return self.subtrees[:, 1] - 1
+
+    @cached_property
+    def outside(self) -> NDArray[np.int32]:
+        """Rows outside of subtrees, one after the other."""
+        none = np.zeros(0, np.int32)
+        return np.concatenate(
+            [none, *(self.rows[self.first[s] : self.first[s + 1]] for s in self._heads)]
+        )
+
+    @cached_property
     def updates(self) -> NDArray[np.int64]:
         """Where the numbers begin that each subtree has for the runs above it; (t + 1,)."""
-        rows = np.diff(self.runs.slots).astype(np.int64)
+        rows = np.diff(self.first)[self._heads]
         return np.append(0, np.cumsum(rows * (rows + 1) // 2))
+
+    @cached_property
+    def rest(self) -> NDArray[np.int64]:
+        """Ranges of runs that are in no subtree; (t + 1, 2)."""
+        ends = np.concatenate([[0], self.subtrees.ravel(), [len(self.begins) - 1]])
+        return ends.reshape(-1, 2).astype(np.int64)
 
     def side_by_side(self, count: int) -> list[NDArray[np.int64]]:
         """Deal the subtrees out to so many threads, which then have about the same to do."""
@@ -131,7 +139,7 @@ class Elimination:
             least = held.index(min(held))
             hands[least].append(i)
             held[least] += int(self.work[i])
-        return [np.sort(np.array(hand, dtype=np.int64)) for hand in hands if hand]
+        return [self.subtrees[sorted(hand)] for hand in hands if hand]
 
     def serves(self, matrix: sparse.csr_array) -> bool:
         """Return whether `matrix` has the pattern that this was made for."""
@@ -162,12 +170,22 @@ def analysed(A: sparse.csr_array) -> Elimination:
     first, rows, above = kernels.front_rows(starts, columns, order, parent, below, begins)
     width, under = np.diff(begins).astype(np.int64), np.diff(first)
     panels = np.append(0, np.cumsum(width * (width - 1) // 2 + width * under))
-    work = np.diff(panels) + 3 * (width + under)  # rows are fetched and put back
-    most = int(_SHARE * work.sum()) if work.sum() >= _WORTH else 0
-    found = kernels.subtrees(begins, first, rows, above, work, most)
-    heads, tails, slots, places, sizes, own = found
-    runs = Runs(order, begins, first, rows, above, panels, heads, tails, slots, places)
-    return Elimination(starts, columns, runs, sizes, own)
+    whole = np.diff(panels) + 3 * (width + under)  # rows are fetched and put back
+    most = int(_SHARE * whole.sum()) if whole.sum() >= _WORTH else 0
+    places, count, longs = rows.copy(), len(whole), np.empty((2, len(order)), np.int64)
+    subtrees = np.empty((count, 2), np.int64)
+    fixed = (whole, most, subtrees, places, longs)
+    subtrees = subtrees[: kernels.find_subtrees(begins, first, rows, above, *fixed)].copy()
+    fronts, updates = (width + under) ** 2, under * (under + 1) // 2
+    inner = above >= 0
+    np.subtract.at(waiting := updates.copy(), above[inner], updates[inner])
+    ranges = [*subtrees.tolist(), [0, count]]
+    sizes = np.array(
+        [[part.max(initial=0) for part in (fronts[a:b], waiting[a:b].cumsum())] for a, b in ranges]
+    )
+    own = whole[subtrees[:, 1] - 1]
+    head = (starts, columns, order, begins, first, rows, above, panels)
+    return Elimination(*head, subtrees, own, sizes, places)
 
 
 def no_memory(n: int) -> OutOfMemoryError:

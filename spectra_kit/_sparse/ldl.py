@@ -86,28 +86,32 @@ class SparseLDL:
         self.elimination = known
         try:
             self._lower, self.pivots = np.empty(known.fill), np.empty(self.n)
-            place = np.empty(self.n, np.int32)
+            place, spots = np.empty(self.n, np.int32), known.updates
             place[known.order] = np.arange(self.n, dtype=np.int32)
-            spots = known.updates
             fixed = (
                 known.starts,
                 known.columns,
                 np.require(entries, None, "W"),  # loops are compiled for what can be written to
+                known.order,
                 place,
-                known.runs,
+                known.begins,
+                known.first,
+                known.rows,
+                known.above,
+                known.panels,
+                known.subtrees,
                 known.sizes,
                 self._lower,
                 self.pivots,
                 np.empty(spots[-1]),
                 spots,
             )
-            last = len(known.runs.heads)
-            heaviest = np.argsort(-known.work, kind="stable")
+            heaviest = np.argsort(-known.work, kind="stable").tolist()
             with single_threaded_blas():  # so that no bit depends on its threads
-                found = in_threads(factorise, ((*fixed, int(i)) for i in heaviest))
+                found = in_threads(factorise, ((*fixed, i) for i in heaviest))
                 bad = max(found, default=-1)
                 if bad < 0:
-                    bad = factorise(*fixed, last)
+                    bad = factorise(*fixed, len(heaviest))
         except MemoryError as error:
             raise no_memory(self.n) from error
         if bad >= 0:
@@ -139,9 +143,7 @@ class SparseLDL:
         from spectra_kit._sparse._frontal_kernels import factor_columns
 
         known = self.elimination
-        starts, rows = factor_columns(
-            known.runs.begins, known.runs.first, known.runs.rows, known.fill
-        )
+        starts, rows = factor_columns(known.begins, known.first, known.rows, known.fill)
         return sparse.csc_array((self._lower, rows, starts), (self.n, self.n))
 
     @property
@@ -190,7 +192,7 @@ class SparseLDL:
         In float32, of arithmetic and solution, it takes half the memory and time; the error is some
         1e-7 times the condition of A.
         """
-        from spectra_kit._sparse._lane_kernels import DOWN, LANES, TOP, UP, solve_lanes
+        from spectra_kit._sparse._lane_kernels import DOWN, LANES, MEET, UP, solve_lanes
 
         real = real_dtype("dtype", dtype)
         if np.iscomplexobj(rhs):
@@ -199,26 +201,25 @@ class SparseLDL:
         if rhs.ndim not in (1, 2) or len(rhs) != self.n:
             raise InvalidInputError("rhs", f"have shape ({self.n},) or ({self.n}, s)", rhs.shape)
         lower, inverse = self._single if real == np.float32 else (self._lower, self._inverse)
-        out, runs = np.empty(rhs.shape, real), self.elimination.runs
-        columns, rows = rhs.size // max(self.n, 1), int(runs.slots[-1])
-        fixed = (runs, lower, inverse, rhs.reshape(self.n, columns), out.reshape(self.n, columns))
-        every = np.arange(len(runs.heads))
-
-        def solve(left: int, right: int) -> None:
-            y = np.empty(rows if columns == 1 else (rows, LANES), real)
-            solve_lanes(*fixed, y, every, DOWN | TOP | UP, left, right)
-
+        out, known = np.empty(rhs.shape, real), self.elimination
+        columns, rows = rhs.size // max(self.n, 1), self.n + len(known.outside)
+        block = (rhs.reshape(self.n, columns), out.reshape(self.n, columns))
+        fixed = (*known.runs, lower, inverse, *block)
         cuts = shares(columns, -(-columns // LANES)) if columns else []
-        threads = thread_count()
-        if len(cuts) >= threads or columns * self.fill < WORTH_SHARING or not len(every):
-            in_threads(solve, cuts)
-            return out
-        hands = self.elimination.side_by_side(threads)
-        for cut in cuts:
+        beside = thread_count() if columns * self.fill >= WORTH_SHARING else 1
+        hands = known.side_by_side(beside if len(cuts) < beside else 1)
+
+        def solve(*cut: int) -> None:
             y = np.empty(rows if columns == 1 else (rows, LANES), real)
-            in_threads(solve_lanes, ((*fixed, y, hand, DOWN, *cut) for hand in hands))
-            solve_lanes(*fixed, y, every, TOP, *cut)
-            in_threads(solve_lanes, ((*fixed, y, hand, UP, *cut) for hand in hands))
+            y[self.n :] = 0
+            for some, what in ((hands, DOWN), ([known.rest], DOWN | MEET | UP), (hands, UP)):
+                in_threads(solve_lanes, ((*fixed, y, one, what, *cut) for one in some))
+
+        if len(hands) > 1:
+            for cut in cuts:
+                solve(*cut)
+        else:
+            in_threads(solve, cuts)
         return out
 
     def solve_rows(self, rhs: Floats) -> Floats:

@@ -78,18 +78,17 @@ def test_subtrees_are_all_there_and_do_not_meet() -> None:
     """What one needs of the rest are rows above it; two threads have about the same to do."""
     for matrix in (grid(130), sparse.csr_array(sparse.block_diag([grid(40)] * 9))):
         elimination = Elimination.of(matrix)
-        runs = elimination.runs
-        assert (runs.tails <= runs.heads).all()
-        assert (runs.heads[:-1] < runs.tails[1:]).all()
-        for tail, head in zip(runs.tails, runs.heads, strict=True):
-            assert (runs.above[tail:head] > np.arange(tail, head)).all()
-            assert (runs.above[tail:head] <= head).all()
-            assert not np.isin(runs.above[:tail], np.arange(tail, head + 1)).any()
+        subtrees, above = elimination.subtrees, elimination.above
+        assert len(subtrees) > 3
+        assert (subtrees[:-1, 1] <= subtrees[1:, 0]).all()
+        for begin, end in subtrees:
+            assert (above[begin : end - 1] > np.arange(begin, end - 1)).all()
+            assert (above[begin : end - 1] < end).all()
+            assert not np.isin(above[:begin], np.arange(begin, end)).any()
         for threads in (1, 2, 5):
-            hands = elimination.side_by_side(threads)
-            assert sorted(np.concatenate(hands)) == list(range(len(runs.heads)))
-        loads = [elimination.work[hand].sum() for hand in elimination.side_by_side(2)]
-        assert max(loads) < 1.3 * min(loads)
+            hands = np.concatenate([*elimination.side_by_side(threads), elimination.rest])
+            hands = hands[np.lexsort(hands.T[::-1])]
+            assert (hands[1:, 0] == hands[:-1, 1]).all()  # each run once
 
 
 def test_inertia_counts_the_signs_of_the_eigenvalues() -> None:
