@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -74,9 +75,9 @@ class BlockLanczos:
         self._basis = np.empty((most + block, n))
         self._projected = np.zeros((most + block, most + block))
         start = np.random.default_rng(seed).standard_normal((n, block))
-        self._input = np.linalg.qr(start)[0]
+        self._input = _orthonormal(start)
         for _ in range(_POWERS):
-            self._input = np.linalg.qr(operator(self._input))[0]
+            self._input = _orthonormal(operator(self._input))
         self._basis[:block] = self._input.T
         if weighed is not None:
             self._images = np.empty((3 * block, n))  # M times the last two blocks, and the new one
@@ -228,6 +229,27 @@ def combined(coefficients: Floats, A: Floats) -> Floats:
 
     in_threads(fill, cuts)
     return out
+
+
+def _orthonormal(columns: Floats) -> Floats:
+    """Return a few columns made orthonormal, by Cholesky factors twice: LAPACK has one thread."""
+    cuts = ranges(len(columns), _POINTS)
+    for _ in range(2):
+        first, *others = in_threads(partial(_squared, columns), cuts)
+        root = _root(np.asarray(sum(others, start=first)))
+        if root is None:
+            return np.linalg.qr(columns)[0]
+        right = np.ascontiguousarray(_inverse(root).T)
+        columns = np.concatenate(in_threads(partial(_turned, columns, right), cuts))
+    return columns
+
+
+def _squared(columns: Floats, a: int, b: int) -> Floats:
+    return np.asarray(columns[a:b].T @ columns[a:b])
+
+
+def _turned(columns: Floats, right: Floats, a: int, b: int) -> Floats:
+    return np.asarray(columns[a:b] @ right)
 
 
 def _root(gram: Floats) -> Floats | None:

@@ -215,7 +215,7 @@ class SparseLDL:
             for some, what in ((hands, DOWN), ([known.rest], DOWN | MEET | UP), (hands, UP)):
                 in_threads(solve_lanes, ((*fixed, y, one, what, *cut) for one in some))
 
-        if len(hands) > 1:
+        if beside == 1 or len(hands) > 1:
             for cut in cuts:
                 solve(*cut)
         else:
