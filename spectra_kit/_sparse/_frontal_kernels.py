@@ -8,8 +8,12 @@ ACM TOMS 9, 1983). Only upper triangles are kept, by rows: loops run over neighb
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from numba.extending import register_jitable
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from spectra_kit._core.compiled import compiled
@@ -26,7 +30,7 @@ _ZEROS = 0.05
 _NARROW = ((4, 1.0), (16, 0.4), (48, 0.15))
 # Rows of a front from which on BLAS multiplies, of so many columns and rows at a time. (Fronts of
 # volumes are as large.)
-_LARGE, _WIDE, _STRIPE = 256, 128, 128
+_LARGE, WIDE = 256, 128
 
 
 @compiled()
@@ -184,25 +188,46 @@ def front_rows(
     return first, rows, above, sizes
 
 
-@register_jitable
-def _taken(front: Floats, m: int, b0: int, b1: int, pivots: Floats) -> None:
-    """Take what rows `b0` to `b1` of a front eliminate from all rows below them."""
-    left, right = np.empty((m - b1, b1 - b0)), np.empty((m - b1, b1 - b0))
-    for k in range(b1 - b0):
-        scale, at = 1.0 / pivots[k], (b0 + k) * m + b1
-        for j in range(m - b1):
-            right[j, k] = front[at + j]
-            left[j, k] = scale * front[at + j]
-    for i0 in range(0, m - b1, _STRIPE):
-        product = np.dot(left[i0 : i0 + _STRIPE], right[i0:].T)
-        at = (b1 + i0) * (m + 1)
-        for i in range(len(product)):
-            for j in range(i, m - b1 - i0):
-                front[at + j] -= product[i, j]
-            at += m
+@intrinsic
+def _multiply(
+    typing: Any, out: Any, left: Any, right: Any, start: Any, rows: Any, columns: Any, inner: Any
+) -> Any:
+    """Write (rows, inner) @ (columns, inner).T to `out`, of rows of `left` and `right` from `start`.
+
+    To the bit as `np.dot`, whose checks and copies would take half a second to compile.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        def numbers(array: Any, skipped: Any) -> Any:
+            return builder.bitcast(builder.gep(array.data, [skipped]), ir.IntType(8).as_pointer())
+
+        def number(value: float) -> Any:
+            place = cgutils.alloca_once_value(builder, ir.Constant(ir.DoubleType(), value))
+            return builder.bitcast(place, ir.IntType(8).as_pointer())
+
+        def call(name: str, letters: str, *given: Any) -> None:
+            every = (*(ir.Constant(ir.IntType(8), ord(letter)) for letter in letters), *given)
+            kind = ir.FunctionType(ir.IntType(32), [one.type for one in every])
+            builder.call(cgutils.get_or_insert_function(builder.module, kind, name), every)
+
+        arrays = zip(signature.args[:3], arguments[:3], strict=True)
+        out, left, right = (context.make_array(kind)(context, builder, a) for kind, a in arrays)
+        start, rows, columns, inner = arguments[3:]
+        skipped, none = builder.mul(start, inner), ir.Constant(start.type, 0)
+        a, b, c = numbers(left, skipped), numbers(right, skipped), numbers(out, none)
+        last = builder.icmp_signed("==", columns, ir.Constant(columns.type, 1))
+        with builder.if_else(last) as (one, several):
+            with one:
+                call("numba_xxdot", "d\0", inner, a, b, c)
+            with several:  # by columns: the transposed product
+                sizes = (columns, rows, inner, number(1.0))
+                call("numba_xxgemm", "dtn", *sizes, b, inner, a, inner, number(0.0), c, columns)
+        return context.get_dummy_value()
+
+    return types.void(out, left, right, *[types.intp] * 4), generate
 
 
-@compiled()
+@compiled(_nrt=False, error_model="numpy")
 def factorise(
     starts: Ints,
     columns: Ints,
@@ -213,9 +238,17 @@ def factorise(
     rows: Ints,
     above: Ints,
     panels: Longs,
-    sizes: Longs,
     factor: Floats,
     pivots: Floats,
+    place: Ints,
+    local: Ints,
+    behind: Ints,
+    front: Floats,
+    waiting: Floats,
+    four: Floats,
+    left: Floats,
+    right: Floats,
+    product: Floats,
 ) -> int:
     """Write L^T and D of ``(I + L) D (I + L)^T``; return the place of a bad pivot, or -1.
 
@@ -223,15 +256,9 @@ def factorise(
     diagonal, in the columns behind it of the supernode and in those of `rows`.
     """
     n, count = len(order), len(begins) - 1
-    place = np.empty(n, np.int32)
     for i in range(n):
         place[order[i]] = i
-    local = np.empty(n, np.int32)
-    front = np.empty(sizes[0])
-    waiting = np.empty(sizes[1])
-    behind = np.empty(count, np.int32)
     top, high = 0, 0
-    four = np.empty((4, int(np.sqrt(sizes[0])) + 1))
     for s in range(count):
         a, b = begins[s], begins[s + 1]
         width, u = b - a, first[s + 1] - first[s]
@@ -266,13 +293,15 @@ def factorise(
             is_four = k0 + 4 <= width  # which are taken from the rows below in one pass
             k1 = k0 + 4 if is_four else width
             # In a large front from the rows of its block alone, whose products BLAS takes from all.
-            b0 = k0 // _WIDE * _WIDE
-            b1 = min(b0 + _WIDE, width) if is_large else m
+            b0 = k0 // WIDE * WIDE
+            b1 = m
+            if is_large:
+                b1 = b0 + WIDE if b0 + WIDE < width else width
             end = k1 if is_four else b1
             for k in range(k0, k1):
                 pivot = front[k * m + k]
                 if pivot == 0.0 or not abs(pivot) < np.inf:
-                    return int(a + k)
+                    return a + k
                 pivots[a + k] = pivot
                 scale = 1.0 / pivot
                 row = four[k - k0]
@@ -294,7 +323,20 @@ def factorise(
                     for j in range(len(rest)):
                         rest[j] -= (l0 * f0[j] + l1 * f1[j]) + (l2 * f2[j] + l3 * f3[j])
             if is_large and k1 == b1:
-                _taken(front, m, b0, b1, pivots[a + b0 : a + b1])
+                wide, low = b1 - b0, m - b1
+                for k in range(wide):
+                    scale, at = 1.0 / pivots[a + b0 + k], (b0 + k) * m + b1
+                    for j in range(low):
+                        right[j * wide + k] = front[at + j]
+                        left[j * wide + k] = scale * front[at + j]
+                for i0 in range(0, low, WIDE):
+                    many, at = low - i0, (b1 + i0) * (m + 1)
+                    few = WIDE if WIDE < many else many
+                    _multiply(product, left, right, i0, few, many, wide)
+                    for i in range(few):
+                        for j in range(i, many):
+                            front[at + j] -= product[i * many + j]
+                        at += m
         at = panels[s]
         for k in range(width):
             scale = 1.0 / pivots[a + k]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba.core import types
-from numba.extending import intrinsic, models, register_jitable, register_model
+from numba.extending import intrinsic, models, register_model
 from numpy.typing import NDArray
 
 from spectra_kit._core.compiled import compiled
@@ -152,8 +152,8 @@ def _times(typing: Any, factor: Any, x: Any) -> Any:
     return x(x.dtype, x), generate
 
 
-@compiled()
-def solve_columns(
+@compiled(_nrt=False)  # all arrays are the caller's, as each one made here takes long to compile
+def solve_lanes(
     order: Ints,
     begins: Ints,
     first: Longs,
@@ -165,72 +165,25 @@ def solve_columns(
     out: Reals,
     left: int,
     right: int,
+    y: Reals,
+    entries: Reals,
+    work: Reals,
 ) -> None:
     """Write the solution of ``P (I + L) D (I + L)^T P^T x = rhs`` to `out`, both (n, s).
 
-    For the columns `left` to `right`, eight at most; fewer take the time of eight. All lanes do the
-    same, so that the bits of a solution do not depend on the others.
+    For the columns `left` to `right`, as many as there are lanes in `y` at most, (n, 8) or (n,),
+    zeros whose `entries` are seen by themselves; one takes a third to two thirds of the time of
+    eight. All lanes do the same, so that the bits of a solution do not depend on the others.
+
+    In `work`, of as many lanes, the rows of a run of columns lie side by side; four of these
+    columns are read in one pass.
     """
-    n, many, most = len(order), right - left, _longest(begins, first)
-    y, work = np.zeros((n, LANES), factor.dtype), np.empty((most, LANES), factor.dtype)
+    n, many = len(order), right - left
+    lanes = len(entries) // n
     for i in range(n):
         for c in range(many):
-            y[i, c] = rhs[order[i], left + c] + 0.0  # no lane has a zero with a sign
-    _solve(begins, first, rows, panels, factor, inverse, y, work)
-    for i in range(n):
-        for c in range(many):
-            out[order[i], left + c] = y[i, c]
-
-
-@compiled()
-def solve_column(
-    order: Ints,
-    begins: Ints,
-    first: Longs,
-    rows: Ints,
-    panels: Longs,
-    factor: Reals,
-    inverse: Reals,
-    rhs: Reals,
-    out: Reals,
-    left: int,
-    right: int,
-) -> None:
-    """Do the same for the one column `left`, in a third to two thirds of the time, to the bit."""
-    n, most = len(order), _longest(begins, first)
-    y, work = np.empty(n, factor.dtype), np.empty(most, factor.dtype)
-    for i in range(n):
-        y[i] = rhs[order[i], left] + 0.0
-    _solve(begins, first, rows, panels, factor, inverse, y, work)
-    for i in range(n):
-        out[order[i], left] = y[i]
-
-
-@register_jitable
-def _longest(begins: Ints, first: Longs) -> int:
-    """Return the most rows that a run of columns has."""
-    most = 0
-    for s in range(len(begins) - 1):
-        most = max(most, begins[s + 1] - begins[s] + first[s + 1] - first[s])
-    return most
-
-
-@register_jitable
-def _solve(
-    begins: Ints,
-    first: Longs,
-    rows: Ints,
-    panels: Longs,
-    factor: Reals,
-    inverse: Reals,
-    y: Reals,
-    work: Reals,
-) -> None:
-    """Solve in place for lanes `y`, in the order of elimination.
-
-    In `work` the rows of a run of columns lie side by side; four of these columns are read in one
-    pass.
-    """
+            # No lane has a zero with a sign.
+            entries[i * lanes + c] = rhs[order[i], left + c] + 0.0
     count = len(begins) - 1
     for s in range(count):
         a, width, low = begins[s], begins[s + 1] - begins[s], first[s]
@@ -311,3 +264,6 @@ def _solve(
             _put(work, k + 3, w3)
         for k in range(width):
             _copy(y, a + k, work, k)
+    for i in range(n):
+        for c in range(many):
+            out[order[i], left + c] = entries[i * lanes + c]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,6 +82,11 @@ class Elimination:
         shared = sum(int(part.nbytes) for part in vars(self).values())
         numbers = self.fill + 2 * len(self.order) + int(self.sizes.sum())
         return (8 * numbers + shared) / 2**30
+
+    @property
+    def longest(self) -> int:
+        """The most rows of a front."""
+        return math.isqrt(int(self.sizes[0]))
 
     @property
     def fill(self) -> int:

@@ -87,9 +87,9 @@ class SparseLDL:
                     known.rows,
                     known.above,
                     known.panels,
-                    known.sizes,
                     self._lower,
                     self.pivots,
+                    *_scratch(known),
                 )
         except MemoryError as error:
             raise no_memory(self.n) from error
@@ -169,7 +169,7 @@ class SparseLDL:
         In float32, of arithmetic and solution, it takes half the memory and time; the error is some
         1e-7 times the condition of A.
         """
-        from spectra_kit._sparse._lane_kernels import LANES, solve_column, solve_columns
+        from spectra_kit._sparse._lane_kernels import LANES, solve_lanes
 
         real = real_dtype("dtype", dtype)
         if np.iscomplexobj(rhs):
@@ -182,14 +182,23 @@ class SparseLDL:
         pattern = (known.order, known.begins, known.first, known.rows, known.panels)
         columns = rhs.size // max(self.n, 1)
         block = (rhs.reshape(self.n, columns), out.reshape(self.n, columns))
-        cuts = shares(columns, -(-columns // LANES)) if columns else []
-        if columns == 1:  # as ARPACK asks, thousands of times
-            solve_column(*pattern, lower, inverse, *block, 0, 1)
-        else:
-            in_threads(solve_columns, ((*pattern, lower, inverse, *block, *cut) for cut in cuts))
+        lanes = () if columns == 1 else (LANES,)  # one as ARPACK asks, thousands of times
+        def solved(left: int, right: int) -> None:
+            y, work = np.zeros((self.n, *lanes), real), np.empty((known.longest, *lanes), real)
+            solve_lanes(*pattern, lower, inverse, *block, left, right, y, y.reshape(-1), work)
+
+        in_threads(solved, shares(columns, -(-columns // LANES)) if columns else [])
         return out
 
     @cached_property
     def _single(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """L and 1 / D in float32, kept after the first use."""
         return self._lower.astype(np.float32), self._inverse.astype(np.float32)
+
+
+def _scratch(known: Elimination) -> tuple[NDArray[Any], ...]:
+    """Return arrays for `factorise` to work in, each kind of which would take long to compile."""
+    from spectra_kit._sparse._frontal_kernels import WIDE
+
+    whole, parts = np.empty((3, len(known.order)), np.int32), np.empty((3, WIDE * known.longest))
+    return (*whole, *map(np.empty, known.sizes), np.empty((4, known.longest)), *parts)
