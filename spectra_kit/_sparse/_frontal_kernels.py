@@ -33,16 +33,28 @@ _NARROW = ((4, 1.0), (16, 0.4), (48, 0.15))
 _LARGE, WIDE = 256, 128
 
 
-@compiled()
-def elimination_tree(starts: Ints, columns: Ints, order: Ints) -> tuple[Ints, Ints, Ints]:
-    """Return `order` in postorder, then the parent and the entries below the diagonal of columns.
+@compiled(_nrt=False)
+def elimination_tree(
+    starts: Ints,
+    columns: Ints,
+    order: Ints,
+    ordered: Ints,
+    up: Ints,
+    below: Ints,
+    place: Ints,
+    parent: Ints,
+    above: Ints,
+    child: Ints,
+    sibling: Ints,
+    new: Ints,
+) -> None:
+    """Write `order` in postorder, then the parent and the entries below the diagonal of columns.
 
-    After Liu (*The Role of Elimination Trees in Sparse Factorization*, 1990).
+    After Liu (*The Role of Elimination Trees in Sparse Factorization*, 1990). The last six, of n
+    entries as all, are to work in.
     """
     n = len(order)
-    place, parent, above = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
-    child, sibling = np.empty(n, np.int32), np.empty(n, np.int32)
-    for i in range(n):  # `np.full` would have to be compiled
+    for i in range(n):
         place[order[i]] = i
         parent[i] = above[i] = child[i] = -1
     for i in range(n):
@@ -59,9 +71,7 @@ def elimination_tree(starts: Ints, columns: Ints, order: Ints) -> tuple[Ints, In
         if parent[i] >= 0:
             sibling[i] = child[parent[i]]
             child[parent[i]] = i
-    new = np.empty(n, np.int32)  # place of a column in postorder
-    stack = np.empty(n, np.int32)
-    count = 0
+    stack, count = above, 0  # `new`: place of a column in postorder
     for root in range(n):
         if parent[root] >= 0:
             continue
@@ -77,8 +87,7 @@ def elimination_tree(starts: Ints, columns: Ints, order: Ints) -> tuple[Ints, In
                 new[i] = count
                 count += 1
                 top -= 1
-    ordered, up = np.empty(n, np.int32), np.empty(n, np.int32)
-    below, seen = np.empty(n, np.int32), np.empty(n, np.int32)
+    seen = child
     for i in range(n):
         ordered[new[i]] = order[i]
         place[order[i]] = new[i]
@@ -93,17 +102,16 @@ def elimination_tree(starts: Ints, columns: Ints, order: Ints) -> tuple[Ints, In
                 seen[k] = i
                 below[k] += 1
                 k = up[k]
-    return ordered, up, below
 
 
-@compiled()
-def supernodes(parent: Ints, below: Ints) -> Ints:
-    """Return where runs of columns begin that are eliminated together, and n.
+@compiled(_nrt=False)
+def supernodes(parent: Ints, below: Ints, begins: Ints, kept: Ints) -> int:
+    """Write n to `kept`, and where runs of columns begin that are eliminated together, from behind.
 
     They have the same rows below them, or nearly so: a few zeros cost less than small fronts.
+    Returns how many were written; both of the last have room for n + 1.
     """
     n = len(parent)
-    begins = np.empty(n + 1, np.int32)
     count = 0
     for j in range(n):
         if j == 0 or parent[j - 1] != j or below[j - 1] != below[j] + 1:
@@ -111,7 +119,6 @@ def supernodes(parent: Ints, below: Ints) -> Ints:
             count += 1
     begins[count] = n
     # From the root down: the run [begins[s], end) joins the one behind it if that is its parent.
-    kept = np.empty(count + 1, np.int32)
     kept[0] = n
     many = 1
     end = n
@@ -138,30 +145,35 @@ def supernodes(parent: Ints, below: Ints) -> Ints:
             end = b
             zeros = 0.0
     kept[many] = 0
-    return kept[: many + 1][::-1].copy()
+    return many + 1
 
 
-@compiled()
+@compiled(_nrt=False)
 def front_rows(
-    starts: Ints, columns: Ints, order: Ints, parent: Ints, below: Ints, begins: Ints
-) -> tuple[Longs, Ints, Ints, Longs]:
-    """Return the rows below each supernode, from where to where, and its parent.
+    starts: Ints,
+    columns: Ints,
+    order: Ints,
+    parent: Ints,
+    begins: Ints,
+    rows: Ints,
+    above: Ints,
+    end: Longs,
+    place: Ints,
+    node: Ints,
+    seen: Ints,
+) -> None:
+    """Write the rows below each supernode from ``end[s]`` on, which moves on, and its parent.
 
-    The last are the most numbers that a front holds, and those of updates that wait.
+    The last three, of n entries, are to work in.
     """
     n, count = len(order), len(begins) - 1
-    place, node = np.empty(n, np.int32), np.empty(n, np.int32)
-    first = np.zeros(count + 1, np.int64)
-    above, seen = np.empty(count, np.int32), np.empty(count, np.int32)
     for s in range(count):
         for j in range(begins[s], begins[s + 1]):
             place[order[j]], node[j] = j, s
-        first[s + 1] = first[s] + below[begins[s + 1] - 1]
         seen[s] = -1
     for s in range(count):
         up = parent[begins[s + 1] - 1]
         above[s] = node[up] if up >= 0 else -1
-    rows, end = np.empty(first[count], np.int32), first.copy()
     for i in range(n):  # it is a row of the supernodes on the way up from its entries to its own
         seen[node[i]] = i
         v = order[i]
@@ -174,18 +186,6 @@ def front_rows(
                     rows[end[s]] = i
                     end[s] += 1
                     s = above[s] + 0
-    sizes = np.zeros(2, np.int64)
-    done = np.zeros(count, np.int64)  # numbers of updates that wait for a supernode
-    waiting = 0
-    for s in range(count):
-        u = first[s + 1] - first[s]
-        m = u + begins[s + 1] - begins[s]
-        own = u * (u + 1) // 2
-        waiting += own - done[s]
-        if above[s] >= 0:
-            done[above[s]] += own
-        sizes[0], sizes[1] = max(sizes[0], m * m), max(sizes[1], waiting)
-    return first, rows, above, sizes
 
 
 @intrinsic

@@ -34,9 +34,12 @@ def minimum_degree(matrix: sparse.csr_array) -> NDArray[np.int32]:
         rest = others[minimum_degree(sparse.csr_array(matrix[others][:, others]))]
         return np.append(rest, hubs).astype(np.int32)
     n = len(degrees)
-    lists = np.empty(2 * matrix.nnz + n, np.int32)
+    order, lists = np.empty(n, np.int32), np.empty(2 * matrix.nnz + n, np.int32)
     longs, ints = np.zeros((4, n), np.int64), np.full((11, n + 1), -1, np.int32)
-    return eliminate(*pattern(matrix), lists, longs, ints)
+    state = np.zeros(5, np.int64)
+    while needed := eliminate(*pattern(matrix), order, lists, longs, ints, state):
+        lists = np.concatenate([lists, np.empty(2 * needed - len(lists), np.int32)])
+    return order
 
 
 def pattern(matrix: sparse.csr_array) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -117,11 +120,26 @@ def analysed(A: sparse.csr_array) -> Elimination:
     if A.nnz > _MAX_ENTRIES:
         raise InvalidInputError("matrix", f"have at most {_MAX_ENTRIES} entries", A.nnz)
     starts, columns = pattern(A)
-    order, parent, below = kernels.elimination_tree(starts, columns, minimum_degree(A))
-    begins = kernels.supernodes(parent, below)
-    first, rows, above, sizes = kernels.front_rows(starts, columns, order, parent, below, begins)
+    n = A.shape[0]
+    order, parent, below = (np.empty(n, np.int32) for _ in range(3))
+    kernels.elimination_tree(
+        starts, columns, minimum_degree(A), order, parent, below, *np.empty((6, n), np.int32)
+    )
+    kept = np.empty((2, n + 1), np.int32)
+    begins = kept[1, : kernels.supernodes(parent, below, *kept)][::-1].copy()
+    ends = begins[1:] - 1  # the last column of each
     width = np.diff(begins).astype(np.int64)
-    entries = width * (width - 1) // 2 + width * np.diff(first)
+    first = np.append(0, np.cumsum(below[ends], dtype=np.int64))
+    rows, above = np.empty(first[-1], np.int32), np.empty(len(width), np.int32)
+    kernels.front_rows(
+        starts, columns, order, parent, begins, rows, above, first.copy(), *np.empty((3, n), np.int32)
+    )
+    high = np.diff(first)
+    waits = high * (high + 1) // 2
+    taken = np.bincount(above + 1, waits, len(width) + 1)[1:]  # by a supernode from those below it
+    waiting = np.cumsum(waits - taken.astype(np.int64))
+    sizes = np.array([((width + high) ** 2).max(initial=0), waiting.max(initial=0)])
+    entries = width * (width - 1) // 2 + width * high
     panels = np.append(0, np.cumsum(entries))
     return Elimination(starts, columns, order, begins, first, rows, above, panels, sizes)
 
