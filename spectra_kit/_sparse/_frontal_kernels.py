@@ -354,19 +354,17 @@ def factorise(
     return -1
 
 
-@compiled()
-def factor_columns(begins: Ints, first: Longs, rows: Ints, fill: int) -> tuple[Longs, Ints]:
-    """Return where the columns of L start in the factor, and the row of each entry."""
-    n = begins[-1]
-    starts, found = np.zeros(n + 1, np.int64), np.empty(fill, np.int32)
+@compiled(_nrt=False)
+def factor_columns(begins: Ints, first: Longs, rows: Ints, starts: Longs, found: Ints) -> None:
+    """Write where the columns of L start in the factor, and the row of each entry."""
     at = 0
     for s in range(len(begins) - 1):
         for j in range(begins[s], begins[s + 1]):
+            starts[j] = at
             for i in range(j + 1, begins[s + 1]):
                 found[at] = i
                 at += 1
             for p in range(first[s], first[s + 1]):
                 found[at] = rows[p]
                 at += 1
-            starts[j + 1] = at
-    return starts, found
+    starts[begins[-1]] = at

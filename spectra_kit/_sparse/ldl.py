@@ -122,7 +122,8 @@ class SparseLDL:
         from spectra_kit._sparse._frontal_kernels import factor_columns
 
         known = self.elimination
-        starts, rows = factor_columns(known.begins, known.first, known.rows, known.fill)
+        starts, rows = np.empty(self.n + 1, np.int64), np.empty(known.fill, np.int32)
+        factor_columns(known.begins, known.first, known.rows, starts, rows)
         return sparse.csc_array((self._lower, rows, starts), (self.n, self.n))
 
     @property
