@@ -192,7 +192,7 @@ def front_rows(
 def _multiply(
     typing: Any, out: Any, left: Any, right: Any, start: Any, rows: Any, columns: Any, inner: Any
 ) -> Any:
-    """Write (rows, inner) @ (columns, inner).T to `out`, of rows of `left` and `right` from `start`.
+    """Write (rows, inner) @ (columns, inner).T to `out`, of rows of both from `start` on.
 
     To the bit as `np.dot`, whose checks and copies would take half a second to compile.
     """
@@ -296,7 +296,7 @@ def factorise(
             b0 = k0 // WIDE * WIDE
             b1 = m
             if is_large:
-                b1 = b0 + WIDE if b0 + WIDE < width else width
+                b1 = b0 + WIDE if width > b0 + WIDE else width
             end = k1 if is_four else b1
             for k in range(k0, k1):
                 pivot = front[k * m + k]
@@ -331,7 +331,7 @@ def factorise(
                         left[j * wide + k] = scale * front[at + j]
                 for i0 in range(0, low, WIDE):
                     many, at = low - i0, (b1 + i0) * (m + 1)
-                    few = WIDE if WIDE < many else many
+                    few = WIDE if many > WIDE else many
                     _multiply(product, left, right, i0, few, many, wide)
                     for i in range(few):
                         for j in range(i, many):

@@ -132,7 +132,15 @@ def analysed(A: sparse.csr_array) -> Elimination:
     first = np.append(0, np.cumsum(below[ends], dtype=np.int64))
     rows, above = np.empty(first[-1], np.int32), np.empty(len(width), np.int32)
     kernels.front_rows(
-        starts, columns, order, parent, begins, rows, above, first.copy(), *np.empty((3, n), np.int32)
+        starts,
+        columns,
+        order,
+        parent,
+        begins,
+        rows,
+        above,
+        first.copy(),
+        *np.empty((3, n), np.int32),
     )
     high = np.diff(first)
     waits = high * (high + 1) // 2

@@ -184,6 +184,7 @@ class SparseLDL:
         columns = rhs.size // max(self.n, 1)
         block = (rhs.reshape(self.n, columns), out.reshape(self.n, columns))
         lanes = () if columns == 1 else (LANES,)  # one as ARPACK asks, thousands of times
+
         def solved(left: int, right: int) -> None:
             y, work = np.zeros((self.n, *lanes), real), np.empty((known.longest, *lanes), real)
             solve_lanes(*pattern, lower, inverse, *block, left, right, y, y.reshape(-1), work)

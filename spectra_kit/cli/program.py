@@ -71,8 +71,8 @@ def completion(asked: CompletionOptions) -> None:
     tell(asked, {"shell": asked.shell, "script": script}, script.removesuffix("\n"))
 
 
-# Where the function of a command is; what it can be told is beside it. Those of others, and rooms of
-# the library, wait.
+# Where the function of a command is, and beside it what it can be told. Those of others wait, and
+# rooms of the library.
 _PLACES = {
     "info": "info.info",
     "spectrum": "modes.spectrum",

@@ -28,7 +28,7 @@ def run(code: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_nothing_is_imported_before_it_is_asked_for() -> None:
-    """By the package, its catalogue, commands and their help, arrays; nor one command by another."""
+    """By the package, its catalogue, commands and their help, arrays; nor by other commands."""
     done = run(
         "import sys, spectra_kit as sk\n"
         "def there(*names): print(*({m.split('.')[0] for m in sys.modules} & {*names}))\n"
