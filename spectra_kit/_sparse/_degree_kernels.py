@@ -83,7 +83,7 @@ def eliminate(
             most += end[lists[p]] - begin[lists[p]]
         if tail + most > len(lists):
             state[0], state[1], state[2], state[3], state[4] = done, least, tail, stamp, mark
-            return tail + most
+            return tail + most  # type: ignore[no-any-return]  # `int` would be compiled
         _take(pivot, head, after, before)
         size = weight[pivot]
         weight[pivot] = 0

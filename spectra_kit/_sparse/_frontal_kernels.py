@@ -22,193 +22,32 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 
-# Share of zeros in what is eliminated together, and more up to so many columns: the rule of CHOLMOD
-# (Chen, Davis, Hager and Rajamanickam, ACM TOMS 35, 2008), which has 0.8 and 0.1. On three real
-# models of 23,000 to 90,000 points those save at most 6 % of the factor's time and take 7 to 17 %
-# more memory; without any zeros it takes 8 to 36 % longer.
-_ZEROS = 0.05
-_NARROW = ((4, 1.0), (16, 0.4), (48, 0.15))
 # Rows of a front from which on BLAS multiplies, of so many columns and rows at a time. (Fronts of
 # volumes are as large.)
 _LARGE, WIDE = 256, 128
 
 
-@compiled(_nrt=False)
-def elimination_tree(
-    starts: Ints,
-    columns: Ints,
-    order: Ints,
-    ordered: Ints,
-    up: Ints,
-    below: Ints,
-    place: Ints,
-    parent: Ints,
-    above: Ints,
-    child: Ints,
-    sibling: Ints,
-    new: Ints,
-) -> None:
-    """Write `order` in postorder, then the parent and the entries below the diagonal of columns.
-
-    After Liu (*The Role of Elimination Trees in Sparse Factorization*, 1990). The last six, of n
-    entries as all, are to work in.
-    """
-    n = len(order)
-    for i in range(n):
-        place[order[i]] = i
-        parent[i] = above[i] = child[i] = -1
-    for i in range(n):
-        v = order[i]
-        for p in range(starts[v], starts[v + 1]):
-            k = place[columns[p]]
-            while k != -1 and k < i:
-                next_one = above[k]  # with short cuts
-                above[k] = i
-                if next_one == -1:
-                    parent[k] = i
-                k = next_one
-    for i in range(n - 1, -1, -1):
-        if parent[i] >= 0:
-            sibling[i] = child[parent[i]]
-            child[parent[i]] = i
-    stack, count = above, 0  # `new`: place of a column in postorder
-    for root in range(n):
-        if parent[root] >= 0:
-            continue
-        top = 0
-        stack[0] = root
-        while top >= 0:
-            i = stack[top]
-            if child[i] >= 0:
-                top += 1
-                stack[top] = child[i]
-                child[i] = sibling[child[i]]
-            else:
-                new[i] = count
-                count += 1
-                top -= 1
-    seen = child
-    for i in range(n):
-        ordered[new[i]] = order[i]
-        place[order[i]] = new[i]
-        up[new[i]] = new[parent[i]] if parent[i] >= 0 else -1
-        below[i], seen[i] = 0, -1
-    for i in range(n):  # the entries of row i of L are a subtree: walk it once
-        seen[i] = i
-        v = ordered[i]
-        for p in range(starts[v], starts[v + 1]):
-            k = place[columns[p]]
-            while k < i and seen[k] != i:
-                seen[k] = i
-                below[k] += 1
-                k = up[k]
-
-
-@compiled(_nrt=False)
-def supernodes(parent: Ints, below: Ints, begins: Ints, kept: Ints) -> int:
-    """Write n to `kept`, and where runs of columns begin that are eliminated together, from behind.
-
-    They have the same rows below them, or nearly so: a few zeros cost less than small fronts.
-    Returns how many were written; both of the last have room for n + 1.
-    """
-    n = len(parent)
-    count = 0
-    for j in range(n):
-        if j == 0 or parent[j - 1] != j or below[j - 1] != below[j] + 1:
-            begins[count] = j
-            count += 1
-    begins[count] = n
-    # From the root down: the run [begins[s], end) joins the one behind it if that is its parent.
-    kept[0] = n
-    many = 1
-    end = n
-    zeros = 0.0
-    for s in range(count - 1, -1, -1):
-        a, b = begins[s], begins[s + 1]
-        width = b - a
-        joined = False
-        if b < n and parent[b - 1] >= b and parent[b - 1] < end:
-            behind = end - b
-            more = zeros + width * float(behind + below[end - 1] - below[b - 1])
-            total = width + behind
-            entries = total * (total + 1) / 2 + float(total) * below[end - 1]
-            share = more / entries
-            joined = share < _ZEROS
-            for wide, most in _NARROW:
-                joined = joined or (total <= wide and share < most)
-            if joined:
-                zeros = more
-        if not joined:
-            if b < n:
-                kept[many] = b
-                many += 1
-            end = b
-            zeros = 0.0
-    kept[many] = 0
-    return many + 1
-
-
-@compiled(_nrt=False)
-def front_rows(
-    starts: Ints,
-    columns: Ints,
-    order: Ints,
-    parent: Ints,
-    begins: Ints,
-    rows: Ints,
-    above: Ints,
-    end: Longs,
-    place: Ints,
-    node: Ints,
-    seen: Ints,
-) -> None:
-    """Write the rows below each supernode from ``end[s]`` on, which moves on, and its parent.
-
-    The last three, of n entries, are to work in.
-    """
-    n, count = len(order), len(begins) - 1
-    for s in range(count):
-        for j in range(begins[s], begins[s + 1]):
-            place[order[j]], node[j] = j, s
-        seen[s] = -1
-    for s in range(count):
-        up = parent[begins[s + 1] - 1]
-        above[s] = node[up] if up >= 0 else -1
-    for i in range(n):  # it is a row of the supernodes on the way up from its entries to its own
-        seen[node[i]] = i
-        v = order[i]
-        for p in range(starts[v], starts[v + 1]):
-            k = place[columns[p]]
-            if k < i:
-                s = node[k] + 0
-                while seen[s] != i:
-                    seen[s] = i
-                    rows[end[s]] = i
-                    end[s] += 1
-                    s = above[s] + 0
-
-
-@intrinsic
-def _multiply(
+def _product(
     typing: Any, out: Any, left: Any, right: Any, start: Any, rows: Any, columns: Any, inner: Any
 ) -> Any:
     """Write (rows, inner) @ (columns, inner).T to `out`, of rows of both from `start` on.
 
     To the bit as `np.dot`, whose checks and copies would take half a second to compile.
     """
+    build: Any = cgutils
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         def numbers(array: Any, skipped: Any) -> Any:
             return builder.bitcast(builder.gep(array.data, [skipped]), ir.IntType(8).as_pointer())
 
         def number(value: float) -> Any:
-            place = cgutils.alloca_once_value(builder, ir.Constant(ir.DoubleType(), value))
+            place = build.alloca_once_value(builder, ir.Constant(ir.DoubleType(), value))
             return builder.bitcast(place, ir.IntType(8).as_pointer())
 
         def call(name: str, letters: str, *given: Any) -> None:
             every = (*(ir.Constant(ir.IntType(8), ord(letter)) for letter in letters), *given)
             kind = ir.FunctionType(ir.IntType(32), [one.type for one in every])
-            builder.call(cgutils.get_or_insert_function(builder.module, kind, name), every)
+            builder.call(build.get_or_insert_function(builder.module, kind, name), every)
 
         arrays = zip(signature.args[:3], arguments[:3], strict=True)
         out, left, right = (context.make_array(kind)(context, builder, a) for kind, a in arrays)
@@ -225,6 +64,9 @@ def _multiply(
         return context.get_dummy_value()
 
     return types.void(out, left, right, *[types.intp] * 4), generate
+
+
+_multiply: Any = intrinsic(_product)  # numba's annotation of it is that of its definition
 
 
 @compiled(_nrt=False, error_model="numpy")
@@ -301,7 +143,7 @@ def factorise(
             for k in range(k0, k1):
                 pivot = front[k * m + k]
                 if pivot == 0.0 or not abs(pivot) < np.inf:
-                    return a + k
+                    return a + k  # type: ignore[no-any-return]  # `int` would be compiled
                 pivots[a + k] = pivot
                 scale = 1.0 / pivot
                 row = four[k - k0]

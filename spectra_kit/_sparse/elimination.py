@@ -115,7 +115,7 @@ def symmetric(matrix: sparse.csr_array) -> sparse.csr_array:
 
 def analysed(A: sparse.csr_array) -> Elimination:
     """Return the elimination of what `symmetric` returned."""
-    from spectra_kit._sparse import _frontal_kernels as kernels
+    from spectra_kit._sparse import _tree_kernels as kernels
 
     if A.nnz > _MAX_ENTRIES:
         raise InvalidInputError("matrix", f"have at most {_MAX_ENTRIES} entries", A.nnz)
