@@ -32,15 +32,21 @@ def _take(v: int, head: Ints, after: Ints, before: Ints) -> None:
         before[after[v]] = before[v]
 
 
-@compiled()
-def eliminate(starts: Ints, columns: Ints, lists: Ints, longs: Longs, ints: Ints) -> Ints:
-    """Return the points in the order in which they are eliminated.
+@compiled(_nrt=False)
+def eliminate(
+    starts: Ints, columns: Ints, order: Ints, lists: Ints, longs: Longs, ints: Ints, state: Longs
+) -> int:
+    """Write the points to `order`, in that in which they are eliminated.
+
+    Returns 0 at the end; before, how long `lists` must be to go on: call again with longer ones,
+    which begin with what is there.
 
     In a quotient graph: an eliminated point is a front, which stands for the edges between all its
     points. Points with the same neighbours are merged. Degrees are bounds from above.
 
-    To work in: `lists` (2 len(columns) + n,), zeros `longs` (4, n) and -1 in `ints` (11, n + 1).
-    Each kind of array that a loop makes itself costs a tenth of a second to compile.
+    To work in: `lists` (2 len(columns) + n,), zeros `longs` (4, n), -1 in `ints` (11, n + 1), and
+    zeros `state` (5,). Each kind of array that a loop makes itself costs a tenth of a second to
+    compile.
     """
     n = len(starts) - 1
     # Beside v: so many `fronts` from ``begin[v]`` on, then points, up to ``end[v]``, in place of
@@ -50,11 +56,11 @@ def eliminate(starts: Ints, columns: Ints, lists: Ints, longs: Longs, ints: Ints
     weight = ints[2]  # how many were merged: 0 if gone, negative while in the front
     follower, last = ints[3], ints[4]  # merged into v
     head, after, before = ints[5], ints[6], ints[7]
-    outside, mark = longs[2], np.int64(1)  # of a front: weight not in the new one
+    outside = longs[2]  # of a front: `mark` and weight not in the new one
     bucket, chain = ints[8], ints[9]
     key, seen = ints[10], longs[3]
-    stamp, tail = np.int64(0), np.int64(0)
-    for v in range(n):
+    done, least, tail, stamp, mark = state[0], state[1], state[2], state[3], state[4]
+    for v in range(n if mark == 0 else 0):
         begin[v], fronts[v], weight[v], last[v] = tail, 0, 1, v
         for p in range(starts[v], starts[v + 1]):
             if columns[p] != v:
@@ -64,25 +70,23 @@ def eliminate(starts: Ints, columns: Ints, lists: Ints, longs: Longs, ints: Ints
         degree[v] = tail - begin[v]
         # The same v of 32 bits, as below: nothing is compiled for two kinds of integers.
         _put(last[v], degree[v], head, after, before)
-    order = np.empty(n, np.int32)
-    done = least = 0
+    if mark == 0:
+        mark += 1
     while done < n:
         while head[least] < 0:
             least += 1
         pivot = head[least]
-        _take(pivot, head, after, before)
-        size = weight[pivot]
-        weight[pivot] = 0
         # Its front takes the points beside it, and those of the fronts beside it.
         own = begin[pivot] + fronts[pivot]
         most = end[pivot] - own
         for p in range(begin[pivot], own):
             most += end[lists[p]] - begin[lists[p]]
         if tail + most > len(lists):
-            longer = np.empty(2 * (tail + most), np.int32)
-            for p in range(tail):  # a slice would have its error message compiled
-                longer[p] = lists[p]
-            lists = longer
+            state[0], state[1], state[2], state[3], state[4] = done, least, tail, stamp, mark
+            return tail + most  # type: ignore[no-any-return]  # `int` would be compiled
+        _take(pivot, head, after, before)
+        size = weight[pivot]
+        weight[pivot] = 0
         first, total = tail, 0
         for p in range(begin[pivot], own + 1):
             low, high = own, end[pivot]
@@ -194,4 +198,4 @@ def eliminate(starts: Ints, columns: Ints, lists: Ints, longs: Longs, ints: Ints
             order[done] = pivot
             done += 1
             pivot = follower[pivot]
-    return order
+    return 0

@@ -8,8 +8,12 @@ ACM TOMS 9, 1983). Only upper triangles are kept, by rows: loops run over neighb
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from numba.extending import register_jitable
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from spectra_kit._core.compiled import compiled
@@ -18,254 +22,94 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 
-# Share of zeros in what is eliminated together, and more up to so many columns: the rule of CHOLMOD
-# (Chen, Davis, Hager and Rajamanickam, ACM TOMS 35, 2008), which has 0.8 and 0.1. On three real
-# models of 23,000 to 90,000 points those save at most 6 % of the factor's time and take 7 to 17 %
-# more memory; without any zeros it takes 8 to 36 % longer.
-_ZEROS = 0.05
-_NARROW = ((4, 1.0), (16, 0.4), (48, 0.15))
 # Rows of a front from which on BLAS multiplies, of so many columns and rows at a time. (Fronts of
 # volumes are as large.)
-_LARGE, _WIDE, _STRIPE = 256, 128, 128
+_LARGE, WIDE = 256, 128
 
 
-@compiled()
-def elimination_tree(starts: Ints, columns: Ints, order: Ints) -> tuple[Ints, Ints, Ints]:
-    """Return `order` in postorder, then the parent and the entries below the diagonal of columns.
+def _product(
+    typing: Any, out: Any, left: Any, right: Any, start: Any, rows: Any, columns: Any, inner: Any
+) -> Any:
+    """Write (rows, inner) @ (columns, inner).T to `out`, of rows of both from `start` on.
 
-    After Liu (*The Role of Elimination Trees in Sparse Factorization*, 1990).
+    To the bit as `np.dot`, whose checks and copies would take half a second to compile.
     """
-    n = len(order)
-    place, parent, above = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
-    child, sibling = np.empty(n, np.int32), np.empty(n, np.int32)
-    for i in range(n):  # `np.full` would have to be compiled
-        place[order[i]] = i
-        parent[i] = above[i] = child[i] = -1
-    for i in range(n):
-        v = order[i]
-        for p in range(starts[v], starts[v + 1]):
-            k = place[columns[p]]
-            while k != -1 and k < i:
-                next_one = above[k]  # with short cuts
-                above[k] = i
-                if next_one == -1:
-                    parent[k] = i
-                k = next_one
-    for i in range(n - 1, -1, -1):
-        if parent[i] >= 0:
-            sibling[i] = child[parent[i]]
-            child[parent[i]] = i
-    new = np.empty(n, np.int32)  # place of a column in postorder
-    stack = np.empty(n, np.int32)
-    count = 0
-    for root in range(n):
-        if parent[root] >= 0:
-            continue
-        top = 0
-        stack[0] = root
-        while top >= 0:
-            i = stack[top]
-            if child[i] >= 0:
-                top += 1
-                stack[top] = child[i]
-                child[i] = sibling[child[i]]
-            else:
-                new[i] = count
-                count += 1
-                top -= 1
-    ordered, up = np.empty(n, np.int32), np.empty(n, np.int32)
-    below, seen = np.empty(n, np.int32), np.empty(n, np.int32)
-    for i in range(n):
-        ordered[new[i]] = order[i]
-        place[order[i]] = new[i]
-        up[new[i]] = new[parent[i]] if parent[i] >= 0 else -1
-        below[i], seen[i] = 0, -1
-    for i in range(n):  # the entries of row i of L are a subtree: walk it once
-        seen[i] = i
-        v = ordered[i]
-        for p in range(starts[v], starts[v + 1]):
-            k = place[columns[p]]
-            while k < i and seen[k] != i:
-                seen[k] = i
-                below[k] += 1
-                k = up[k]
-    return ordered, up, below
+    build: Any = cgutils
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        def numbers(array: Any, skipped: Any) -> Any:
+            return builder.bitcast(builder.gep(array.data, [skipped]), ir.IntType(8).as_pointer())
+
+        def number(value: float) -> Any:
+            place = build.alloca_once_value(builder, ir.Constant(ir.DoubleType(), value))
+            return builder.bitcast(place, ir.IntType(8).as_pointer())
+
+        def call(name: str, letters: str, *given: Any) -> None:
+            every = (*(ir.Constant(ir.IntType(8), ord(letter)) for letter in letters), *given)
+            kind = ir.FunctionType(ir.IntType(32), [one.type for one in every])
+            builder.call(build.get_or_insert_function(builder.module, kind, name), every)
+
+        arrays = zip(signature.args[:3], arguments[:3], strict=True)
+        out, left, right = (context.make_array(kind)(context, builder, a) for kind, a in arrays)
+        start, rows, columns, inner = arguments[3:]
+        skipped, none = builder.mul(start, inner), ir.Constant(start.type, 0)
+        a, b, c = numbers(left, skipped), numbers(right, skipped), numbers(out, none)
+        last = builder.icmp_signed("==", columns, ir.Constant(columns.type, 1))
+        with builder.if_else(last) as (one, several):
+            with one:
+                call("numba_xxdot", "d\0", inner, a, b, c)
+            with several:  # by columns: the transposed product
+                sizes = (columns, rows, inner, number(1.0))
+                call("numba_xxgemm", "dtn", *sizes, b, inner, a, inner, number(0.0), c, columns)
+        return context.get_dummy_value()
+
+    return types.void(out, left, right, *[types.intp] * 4), generate
 
 
-@compiled()
-def supernodes(parent: Ints, below: Ints) -> Ints:
-    """Return where runs of columns begin that are eliminated together, and n.
-
-    They have the same rows below them, or nearly so: a few zeros cost less than small fronts.
-    """
-    n = len(parent)
-    begins = np.empty(n + 1, np.int32)
-    count = 0
-    for j in range(n):
-        if j == 0 or parent[j - 1] != j or below[j - 1] != below[j] + 1:
-            begins[count] = j
-            count += 1
-    begins[count] = n
-    # From the root down: the run [begins[s], end) joins the one behind it if that is its parent.
-    kept = np.empty(count + 1, np.int32)
-    kept[0] = n
-    many = 1
-    end = n
-    zeros = 0.0
-    for s in range(count - 1, -1, -1):
-        a, b = begins[s], begins[s + 1]
-        width = b - a
-        joined = False
-        if b < n and parent[b - 1] >= b and parent[b - 1] < end:
-            behind = end - b
-            more = zeros + width * float(behind + below[end - 1] - below[b - 1])
-            total = width + behind
-            entries = total * (total + 1) / 2 + float(total) * below[end - 1]
-            share = more / entries
-            joined = share < _ZEROS
-            for wide, most in _NARROW:
-                joined = joined or (total <= wide and share < most)
-            if joined:
-                zeros = more
-        if not joined:
-            if b < n:
-                kept[many] = b
-                many += 1
-            end = b
-            zeros = 0.0
-    kept[many] = 0
-    return kept[: many + 1][::-1].copy()
+_multiply: Any = intrinsic(_product)  # numba's annotation of it is that of its definition
 
 
-@compiled()
-def front_rows(
-    starts: Ints, columns: Ints, order: Ints, parent: Ints, below: Ints, begins: Ints
-) -> tuple[Longs, Ints, Ints]:
-    """Return the rows below each supernode, from where to where, and its parent."""
-    n, count = len(order), len(begins) - 1
-    place, node = np.empty(n, np.int32), np.empty(n, np.int32)
-    first = np.zeros(count + 1, np.int64)
-    above, seen = np.empty(count, np.int32), np.empty(count, np.int32)
-    for s in range(count):
-        for j in range(begins[s], begins[s + 1]):
-            place[order[j]], node[j] = j, s
-        first[s + 1] = first[s] + below[begins[s + 1] - 1]
-        seen[s] = -1
-    for s in range(count):
-        up = parent[begins[s + 1] - 1]
-        above[s] = node[up] if up >= 0 else -1
-    rows, end = np.empty(first[count], np.int32), first.copy()
-    for i in range(n):  # it is a row of the supernodes on the way up from its entries to its own
-        seen[node[i]] = i
-        v = order[i]
-        for p in range(starts[v], starts[v + 1]):
-            k = place[columns[p]]
-            if k < i:
-                s = node[k] + 0
-                while seen[s] != i:
-                    seen[s] = i
-                    rows[end[s]] = i
-                    end[s] += 1
-                    s = above[s] + 0
-    return first, rows, above
-
-
-@compiled()
-def find_subtrees(
-    begins: Ints,
-    first: Longs,
-    rows: Ints,
-    above: Ints,
-    whole: Longs,
-    most: int,
-    subtrees: Longs,
-    places: Ints,
-    longs: Longs,
-) -> int:
-    """Write which supernodes are subtrees that do `most` at most, as ``[begin, end)``.
-
-    Those that do a thirty-second of that are left with what is above. `whole` is what each
-    supernode does, then with all below it; `places`, the rows at first, are `Elimination.places`.
-    To work in: `longs`, (2, n). Returns how many there are.
-    """
-    n, count = begins[-1], len(begins) - 1
-    tail, slot = longs[0], longs[1]
-    for s in range(count):
-        tail[s] = s
-    for s in range(count):
-        if above[s] >= 0:
-            whole[above[s]] += whole[s]
-            tail[above[s]] = min(tail[above[s]], tail[s])
-    many, slots = 0, np.int64(n)
-    for s in range(count):
-        if most // 32 < whole[s] <= most and (above[s] < 0 or whole[above[s]] > most):
-            subtrees[many, 0], subtrees[many, 1] = tail[s], s + 1
-            many += 1
-            for p in range(first[s], first[s + 1]):
-                slot[rows[p]] = slots
-                slots += 1
-            for p in range(first[tail[s]], first[s + 1]):
-                if rows[p] >= begins[s + 1]:
-                    places[p] = slot[rows[p]]
-    return many
-
-
-@register_jitable
-def _taken(front: Floats, m: int, b0: int, b1: int, pivots: Floats) -> None:
-    """Take what rows `b0` to `b1` of a front eliminate from all rows below them."""
-    left, right = np.empty((m - b1, b1 - b0)), np.empty((m - b1, b1 - b0))
-    for k in range(b1 - b0):
-        scale, at = 1.0 / pivots[k], (b0 + k) * m + b1
-        for j in range(m - b1):
-            right[j, k] = front[at + j]
-            left[j, k] = scale * front[at + j]
-    for i0 in range(0, m - b1, _STRIPE):
-        product = np.dot(left[i0 : i0 + _STRIPE], right[i0:].T)
-        at = (b1 + i0) * (m + 1)
-        for i in range(len(product)):
-            for j in range(i, m - b1 - i0):
-                front[at + j] -= product[i, j]
-            at += m
-
-
-@compiled()
+@compiled(_nrt=False, error_model="numpy")
 def factorise(
     starts: Ints,
     columns: Ints,
     values: Floats,
     order: Ints,
-    place: Ints,
     begins: Ints,
     first: Longs,
     rows: Ints,
     above: Ints,
     panels: Longs,
     subtrees: Longs,
-    sizes: Longs,
+    place: Ints,
     factor: Floats,
     pivots: Floats,
     updates: Floats,
     spots: Longs,
     subtree: int,
+    local: Ints,
+    behind: Ints,
+    front: Floats,
+    waiting: Floats,
+    four: Floats,
+    left: Floats,
+    right: Floats,
+    product: Floats,
 ) -> int:
     """Write L^T and D of ``(I + L) D (I + L)^T``; return the place of a bad pivot, or -1.
 
     Those of one subtree, and to `updates` what it has for the runs above, from ``spots[subtree]``
-    on; or, with the number of subtrees, all that is above them. `place` inverts `order`.
-    L^T is held by supernodes, from ``panels[s]`` on: for each of its columns what is right of the
+    on; or, with the number of subtrees, all that is above them. `place` inverts `order`. L^T is
+    held by supernodes, from ``panels[s]`` on: for each of its columns what is right of the
     diagonal, in the columns behind it of the supernode and in those of `rows`.
     """
-    n, many = len(order), len(subtrees)
-    most = sizes[subtree, 0]
-    local, front, waiting = np.empty(n, np.int32), np.empty(most), np.empty(sizes[subtree, 1])
-    s, last, ready = 0, len(begins) - 1, 0
-    if subtree < many:
-        s, last, ready = subtrees[subtree, 0], subtrees[subtree, 1], many
-    behind = np.empty(last - s, np.int32)
+    apart, last = len(subtrees), len(begins) - 1
+    s, ready = 0 * last, 0 * last  # of 64 bits, as what follows
+    if subtree < apart:
+        s, last, ready = subtrees[subtree, 0], subtrees[subtree, 1], apart
     top, high = 0, 0
-    four = np.empty((4, int(np.sqrt(most)) + 1))
     while s < last:
-        if ready < many and subtrees[ready, 0] == s:
+        if ready < apart and subtrees[ready, 0] == s:
             s = subtrees[ready, 1]
             for p in range(spots[ready], spots[ready + 1]):
                 waiting[top] = updates[p]
@@ -308,13 +152,15 @@ def factorise(
             is_four = k0 + 4 <= width  # which are taken from the rows below in one pass
             k1 = k0 + 4 if is_four else width
             # In a large front from the rows of its block alone, whose products BLAS takes from all.
-            b0 = k0 // _WIDE * _WIDE
-            b1 = min(b0 + _WIDE, width) if is_large else m
+            b0 = k0 // WIDE * WIDE
+            b1 = m
+            if is_large:
+                b1 = b0 + WIDE if width > b0 + WIDE else width
             end = k1 if is_four else b1
             for k in range(k0, k1):
                 pivot = front[k * m + k]
                 if pivot == 0.0 or not abs(pivot) < np.inf:
-                    return int(a + k)
+                    return a + k  # type: ignore[no-any-return]  # `int` would be compiled
                 pivots[a + k] = pivot
                 scale = 1.0 / pivot
                 row = four[k - k0]
@@ -336,7 +182,20 @@ def factorise(
                     for j in range(len(rest)):
                         rest[j] -= (l0 * f0[j] + l1 * f1[j]) + (l2 * f2[j] + l3 * f3[j])
             if is_large and k1 == b1:
-                _taken(front, m, b0, b1, pivots[a + b0 : a + b1])
+                wide, low = b1 - b0, m - b1
+                for k in range(wide):
+                    scale, at = 1.0 / pivots[a + b0 + k], (b0 + k) * m + b1
+                    for j in range(low):
+                        right[j * wide + k] = front[at + j]
+                        left[j * wide + k] = scale * front[at + j]
+                for i0 in range(0, low, WIDE):
+                    many, at = low - i0, (b1 + i0) * (m + 1)
+                    few = WIDE if many > WIDE else many
+                    _multiply(product, left, right, i0, few, many, wide)
+                    for i in range(few):
+                        for j in range(i, many):
+                            front[at + j] -= product[i * many + j]
+                        at += m
         at = panels[s]
         for k in range(width):
             scale = 1.0 / pivots[a + k]
@@ -352,25 +211,23 @@ def factorise(
             behind[high] = s
             high += 1
         s += 1
-    if subtree < many:
+    if subtree < apart:
         for p in range(top):
             updates[spots[subtree] + p] = waiting[p]
     return -1
 
 
-@compiled()
-def factor_columns(begins: Ints, first: Longs, rows: Ints, fill: int) -> tuple[Longs, Ints]:
-    """Return where the columns of L start in the factor, and the row of each entry."""
-    n = begins[-1]
-    starts, found = np.zeros(n + 1, np.int64), np.empty(fill, np.int32)
+@compiled(_nrt=False)
+def factor_columns(begins: Ints, first: Longs, rows: Ints, starts: Longs, found: Ints) -> None:
+    """Write where the columns of L start in the factor, and the row of each entry."""
     at = 0
     for s in range(len(begins) - 1):
         for j in range(begins[s], begins[s + 1]):
+            starts[j] = at
             for i in range(j + 1, begins[s + 1]):
                 found[at] = i
                 at += 1
             for p in range(first[s], first[s + 1]):
                 found[at] = rows[p]
                 at += 1
-            starts[j + 1] = at
-    return starts, found
+    starts[begins[-1]] = at

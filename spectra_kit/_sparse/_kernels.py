@@ -29,14 +29,16 @@ def _four(columns: Ints, values: Reals, p: int, end: int) -> tuple[Any, ...]:
     `p` an integer of 64 bits: nothing is compiled for two kinds.
     """
     last, zero = end - 1, values.dtype.type(0)
-    q1, q2, q3 = min(p + 1, last), min(p + 2, last), min(p + 3, last)
+    q1 = p + 1 if p < last else last  # `min` would be compiled
+    q2 = p + 2 if p + 1 < last else last
+    q3 = p + 3 if p + 2 < last else last
     v1 = values[q1] if p < last else zero
     v2 = values[q2] if p + 1 < last else zero
     v3 = values[q3] if p + 2 < last else zero
     return values[p], v1, v2, v3, columns[p], columns[q1], columns[q2], columns[q3]
 
 
-@compiled()
+@compiled(_nrt=False)
 def multiply_rows(
     indptr: Ints, columns: Ints, values: Reals, dense: Reals, out: Reals, start: int, stop: int
 ) -> None:
@@ -55,7 +57,7 @@ def multiply_rows(
             p += 4
 
 
-@compiled()
+@compiled(_nrt=False)
 def multiply_long(
     indptr: Ints, columns: Ints, values: Reals, X: Reals, out: Reals, start: int, stop: int
 ) -> None:
@@ -83,7 +85,7 @@ def multiply_long(
             out[r, i] = total
 
 
-@compiled()
+@compiled(_nrt=False)
 def chebyshev_step(
     solved: Singles,
     correction: Singles,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba.core import types
-from numba.extending import intrinsic, models, register_jitable, register_model
+from numba.extending import intrinsic, models, register_model
 from numpy.typing import NDArray
 
 from spectra_kit._core.compiled import compiled
@@ -25,6 +25,8 @@ Reals = NDArray[np.float64] | NDArray[np.float32]
 
 #: Right-hand sides that are solved for together: the longest vectors there are, of float64.
 LANES = 8
+#: What `solve_lanes` does: ``I + L``, then ``D (I + L)^T``; with what subtrees have for the others.
+DOWN, UP, MEET = 1, 2, 4
 _FUSED = ("contract",)  # one rounding for a product and its sum, where the processor can
 
 
@@ -164,16 +166,12 @@ def _times(typing: Any, factor: Any, x: Any) -> Any:
     return x(x.dtype, x), generate
 
 
-#: What `solve_lanes` does: ``I + L``, then ``D (I + L)^T``; with what subtrees have for the others.
-DOWN, UP, MEET = 1, 2, 4
-
-
-@compiled()
+@compiled(_nrt=False)  # all arrays are the caller's, as each one made here takes long to compile
 def solve_lanes(
     order: Ints,
     begins: Ints,
     first: Longs,
-    places: Ints,
+    rows: Ints,
     panels: Longs,
     outside: Ints,
     factor: Reals,
@@ -181,6 +179,8 @@ def solve_lanes(
     rhs: Reals,
     out: Reals,
     y: Reals,
+    entries: Reals,
+    work: Reals,
     spans: Longs,
     what: int,
     left: int,
@@ -188,154 +188,115 @@ def solve_lanes(
 ) -> None:
     """Write the solution of ``P (I + L) D (I + L)^T P^T x = rhs`` to `out`, both (n, s).
 
-    For the columns `left` to `right`, eight at most; fewer take the time of eight. All lanes do the
-    same, so that the bits of a solution do not depend on the others. One column where `y` has no
-    second axis: in a third to two thirds of the time, to the bit. Only for runs in `spans`, (j, 2).
-    Rows of `y` behind the n are those `outside` of subtrees, as these know them: zeros at first,
-    which are added to the others, and then taken from them, where subtrees are to `MEET`.
+    For the columns `left` to `right`, as many as there are lanes in `y` at most, (., 8) or (.,),
+    whose `entries` are seen by themselves; one takes a third to two thirds of the time of eight.
+    All lanes do the same, so that the bits of a solution do not depend on the others. Only for runs
+    in `spans`, (j, 2). Rows of `y` behind the n are those `outside` of subtrees, as the runs of
+    these know them: zeros at first, which are added to the others, and then taken from them, where
+    subtrees are to `MEET`.
+
+    In `work`, of as many lanes, the rows of a run of columns lie side by side; four of these
+    columns are read in one pass.
     """
-    n = len(order)
-    most = 0
-    for s in range(len(begins) - 1):
-        most = max(most, begins[s + 1] - begins[s] + first[s + 1] - first[s])
-    work = np.empty(most, factor.dtype) if y.ndim == 1 else np.empty((most, LANES), factor.dtype)
+    n, many, beyond = len(order), right - left, len(outside)
+    lanes = len(entries) // (n + beyond)
     if what & DOWN:
         for j in range(len(spans)):
             for i in range(begins[spans[j, 0]], begins[spans[j, 1]]):
-                if y.ndim == 1:
-                    y[i] = rhs[order[i], left] + 0.0  # no lane has a zero with a sign
-                else:
-                    for c in range(LANES):
-                        y[i, c] = rhs[order[i], left + c] + 0.0 if c < right - left else 0.0
+                for c in range(many):
+                    # No lane has a zero with a sign.
+                    entries[i * lanes + c] = rhs[order[i], left + c] + 0.0
+                for c in range(many, lanes):
+                    entries[i * lanes + c] = 0.0
         if what & MEET:
-            for i in range(len(outside)):
+            for i in range(beyond):
                 _put(y, outside[i], _plus(y, outside[i], n + i))
         for j in range(len(spans)):
-            _down(spans[j, 0], spans[j, 1], begins, first, places, panels, factor, y, work)
+            for s in range(spans[j, 0], spans[j, 1]):
+                a, width, low = begins[s], begins[s + 1] - begins[s], first[s]
+                u = first[s + 1] - low
+                m = width + u
+                nothing = True
+                for k in range(width):
+                    nothing = nothing and _zero(y, a + k)
+                if nothing:  # as in most runs where few entries of `rhs` are not zero
+                    continue
+                for k in range(width):
+                    _copy(work, k, y, a + k)
+                for k in range(u):
+                    _copy(work, width + k, y, rows[low + k])
+                k, p0 = 0, panels[s] - 1  # p0 + j: entry k + j of column k; p1 + j: of the next one
+                while k + 4 <= width:
+                    p1 = p0 + m - k - 2
+                    p2 = p1 + m - k - 3
+                    p3 = p2 + m - k - 4
+                    w0 = _take(work, k)
+                    w1 = _less(_take(work, k + 1), factor, p0 + 1, w0)
+                    w2 = _less(_less(_take(work, k + 2), factor, p0 + 2, w0), factor, p1 + 2, w1)
+                    w3 = _less(_less(_take(work, k + 3), factor, p0 + 3, w0), factor, p1 + 3, w1)
+                    w3 = _less(w3, factor, p2 + 3, w2)
+                    _put(work, k + 1, w1)
+                    _put(work, k + 2, w2)
+                    _put(work, k + 3, w3)
+                    for j in range(4, m - k):
+                        x = _less(_less(_take(work, k + j), factor, p0 + j, w0), factor, p1 + j, w1)
+                        _put(work, k + j, _less(_less(x, factor, p2 + j, w2), factor, p3 + j, w3))
+                    p0 = p3 + m - k - 1
+                    k += 4
+                while k < width:
+                    w0 = _take(work, k)
+                    for j in range(1, m - k):
+                        _put(work, k + j, _less(_take(work, k + j), factor, p0 + j, w0))
+                    p0 += m - k - 1
+                    k += 1
+                for k in range(width):
+                    _copy(y, a + k, work, k)
+                for k in range(u):
+                    _copy(y, rows[low + k], work, width + k)
     if what & UP:
         for j in range(len(spans) - 1, -1, -1):
-            _up(spans[j, 0], spans[j, 1], begins, first, places, panels, factor, inverse, y, work)
+            for s in range(spans[j, 1] - 1, spans[j, 0] - 1, -1):
+                a, width, low = begins[s], begins[s + 1] - begins[s], first[s]
+                u = first[s + 1] - low
+                m = width + u
+                for k in range(width):
+                    _put(work, k, _times(inverse[a + k], _take(y, a + k)))
+                for k in range(u):
+                    _copy(work, width + k, y, rows[low + k])
+                k, p0 = width, panels[s + 1] - 1
+                while k % 4 > 0:
+                    k -= 1
+                    p0 -= m - k - 1
+                    w0 = _take(work, k)
+                    for j in range(1, m - k):
+                        w0 = _less(w0, factor, p0 + j, _take(work, k + j))
+                    _put(work, k, w0)
+                while k > 0:
+                    k -= 4
+                    p0 -= 4 * (m - k) - 10
+                    p1 = p0 + m - k - 2
+                    p2 = p1 + m - k - 3
+                    p3 = p2 + m - k - 4
+                    w0, w1 = _take(work, k), _take(work, k + 1)
+                    w2, w3 = _take(work, k + 2), _take(work, k + 3)
+                    for j in range(4, m - k):
+                        x = _take(work, k + j)
+                        w0, w1 = _less(w0, factor, p0 + j, x), _less(w1, factor, p1 + j, x)
+                        w2, w3 = _less(w2, factor, p2 + j, x), _less(w3, factor, p3 + j, x)
+                    w2 = _less(w2, factor, p2 + 3, w3)
+                    w1 = _less(_less(w1, factor, p1 + 2, w2), factor, p1 + 3, w3)
+                    w0 = _less(_less(w0, factor, p0 + 1, w1), factor, p0 + 2, w2)
+                    w0 = _less(w0, factor, p0 + 3, w3)
+                    _put(work, k, w0)
+                    _put(work, k + 1, w1)
+                    _put(work, k + 2, w2)
+                    _put(work, k + 3, w3)
+                for k in range(width):
+                    _copy(y, a + k, work, k)
         if what & MEET:
-            for i in range(len(outside)):
+            for i in range(beyond):
                 _copy(y, n + i, y, outside[i])
         for j in range(len(spans)):
             for i in range(begins[spans[j, 0]], begins[spans[j, 1]]):
-                if y.ndim == 1:
-                    out[order[i], left] = y[i]
-                else:
-                    for c in range(right - left):
-                        out[order[i], left + c] = y[i, c]
-
-
-@register_jitable
-def _down(
-    begin: int,
-    end: int,
-    begins: Ints,
-    first: Longs,
-    rows: Ints,
-    panels: Longs,
-    factor: Reals,
-    y: Reals,
-    work: Reals,
-) -> None:
-    """Solve with I + L in place for lanes `y`, in the order of elimination, for some runs.
-
-    In `work` the rows of a run of columns lie side by side; four of these columns are read in one
-    pass.
-    """
-    for s in range(begin, end):
-        a, width, low = begins[s], begins[s + 1] - begins[s], first[s]
-        u = first[s + 1] - low
-        m = width + u
-        nothing = True
-        for k in range(width):
-            nothing = nothing and _zero(y, a + k)
-        if nothing:  # as in most runs where few entries of `rhs` are not zero
-            continue
-        for k in range(width):
-            _copy(work, k, y, a + k)
-        for k in range(u):
-            _copy(work, width + k, y, rows[low + k])
-        k, p0 = 0, panels[s] - 1  # p0 + j: entry k + j of column k; p1 + j: of the next one
-        while k + 4 <= width:
-            p1 = p0 + m - k - 2
-            p2 = p1 + m - k - 3
-            p3 = p2 + m - k - 4
-            w0 = _take(work, k)
-            w1 = _less(_take(work, k + 1), factor, p0 + 1, w0)
-            w2 = _less(_less(_take(work, k + 2), factor, p0 + 2, w0), factor, p1 + 2, w1)
-            w3 = _less(_less(_take(work, k + 3), factor, p0 + 3, w0), factor, p1 + 3, w1)
-            w3 = _less(w3, factor, p2 + 3, w2)
-            _put(work, k + 1, w1)
-            _put(work, k + 2, w2)
-            _put(work, k + 3, w3)
-            for j in range(4, m - k):
-                x = _less(_less(_take(work, k + j), factor, p0 + j, w0), factor, p1 + j, w1)
-                _put(work, k + j, _less(_less(x, factor, p2 + j, w2), factor, p3 + j, w3))
-            p0 = p3 + m - k - 1
-            k += 4
-        while k < width:
-            w0 = _take(work, k)
-            for j in range(1, m - k):
-                _put(work, k + j, _less(_take(work, k + j), factor, p0 + j, w0))
-            p0 += m - k - 1
-            k += 1
-        for k in range(width):
-            _copy(y, a + k, work, k)
-        for k in range(u):
-            _copy(y, rows[low + k], work, width + k)
-
-
-@register_jitable
-def _up(
-    begin: int,
-    end: int,
-    begins: Ints,
-    first: Longs,
-    rows: Ints,
-    panels: Longs,
-    factor: Reals,
-    inverse: Reals,
-    y: Reals,
-    work: Reals,
-) -> None:
-    """Do the same with ``D (I + L)^T``, from the last run to the first."""
-    for s in range(end - 1, begin - 1, -1):
-        a, width, low = begins[s], begins[s + 1] - begins[s], first[s]
-        u = first[s + 1] - low
-        m = width + u
-        for k in range(width):
-            _put(work, k, _times(inverse[a + k], _take(y, a + k)))
-        for k in range(u):
-            _copy(work, width + k, y, rows[low + k])
-        k, p0 = width, panels[s + 1] - 1
-        while k % 4 > 0:
-            k -= 1
-            p0 -= m - k - 1
-            w0 = _take(work, k)
-            for j in range(1, m - k):
-                w0 = _less(w0, factor, p0 + j, _take(work, k + j))
-            _put(work, k, w0)
-        while k > 0:
-            k -= 4
-            p0 -= 4 * (m - k) - 10
-            p1 = p0 + m - k - 2
-            p2 = p1 + m - k - 3
-            p3 = p2 + m - k - 4
-            w0, w1 = _take(work, k), _take(work, k + 1)
-            w2, w3 = _take(work, k + 2), _take(work, k + 3)
-            for j in range(4, m - k):
-                x = _take(work, k + j)
-                w0, w1 = _less(w0, factor, p0 + j, x), _less(w1, factor, p1 + j, x)
-                w2, w3 = _less(w2, factor, p2 + j, x), _less(w3, factor, p3 + j, x)
-            w2 = _less(w2, factor, p2 + 3, w3)
-            w1 = _less(_less(w1, factor, p1 + 2, w2), factor, p1 + 3, w3)
-            w0 = _less(_less(w0, factor, p0 + 1, w1), factor, p0 + 2, w2)
-            w0 = _less(w0, factor, p0 + 3, w3)
-            _put(work, k, w0)
-            _put(work, k + 1, w1)
-            _put(work, k + 2, w2)
-            _put(work, k + 3, w3)
-        for k in range(width):
-            _copy(y, a + k, work, k)
+                for c in range(many):
+                    out[order[i], left + c] = entries[i * lanes + c]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
@@ -39,9 +40,12 @@ def minimum_degree(matrix: sparse.csr_array) -> NDArray[np.int32]:
         rest = others[minimum_degree(sparse.csr_array(matrix[others][:, others]))]
         return np.append(rest, hubs).astype(np.int32)
     n = len(degrees)
-    lists = np.empty(2 * matrix.nnz + n, np.int32)
+    order, lists = np.empty(n, np.int32), np.empty(2 * matrix.nnz + n, np.int32)
     longs, ints = np.zeros((4, n), np.int64), np.full((11, n + 1), -1, np.int32)
-    return eliminate(*pattern(matrix), lists, longs, ints)
+    state = np.zeros(5, np.int64)
+    while needed := eliminate(*pattern(matrix), order, lists, longs, ints, state):
+        lists = np.concatenate([lists, np.empty(2 * needed - len(lists), np.int32)])
+    return order
 
 
 def pattern(matrix: sparse.csr_array) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -100,6 +104,11 @@ class Elimination:
     def fill(self) -> int:
         """Entries that a factor holds below its diagonal; some of them are zero."""
         return int(self.panels[-1])
+
+    @property
+    def longest(self) -> int:
+        """The most rows that a front has."""
+        return math.isqrt(int(self.sizes[-1, 0]))
 
     @cached_property
     def runs(self) -> tuple[Any, ...]:
@@ -160,28 +169,48 @@ def symmetric(matrix: sparse.csr_array) -> sparse.csr_array:
 
 def analysed(A: sparse.csr_array) -> Elimination:
     """Return the elimination of what `symmetric` returned."""
-    from spectra_kit._sparse import _frontal_kernels as kernels
+    from spectra_kit._sparse import _tree_kernels as kernels
 
     if A.nnz > _MAX_ENTRIES:
         raise InvalidInputError("matrix", f"have at most {_MAX_ENTRIES} entries", A.nnz)
     starts, columns = pattern(A)
-    order, parent, below = kernels.elimination_tree(starts, columns, minimum_degree(A))
-    begins = kernels.supernodes(parent, below)
-    first, rows, above = kernels.front_rows(starts, columns, order, parent, below, begins)
-    width, under = np.diff(begins).astype(np.int64), np.diff(first)
+    n = A.shape[0]
+    order, parent, below = (np.empty(n, np.int32) for _ in range(3))
+    kernels.elimination_tree(
+        starts, columns, minimum_degree(A), order, parent, below, *np.empty((6, n), np.int32)
+    )
+    kept = np.empty((2, n + 1), np.int32)
+    begins = kept[1, : kernels.supernodes(parent, below, *kept)][::-1].copy()
+    ends = begins[1:] - 1  # the last column of each
+    width = np.diff(begins).astype(np.int64)
+    first = np.append(0, np.cumsum(below[ends], dtype=np.int64))
+    rows, above = np.empty(first[-1], np.int32), np.empty(len(width), np.int32)
+    kernels.front_rows(
+        starts,
+        columns,
+        order,
+        parent,
+        begins,
+        rows,
+        above,
+        first.copy(),
+        *np.empty((3, n), np.int32),
+    )
+    under = np.diff(first)
+    updates = under * (under + 1) // 2
+    taken = np.bincount(above + 1, updates, len(width) + 1)[1:]  # from those below
+    fronts, waiting = (width + under) ** 2, updates - taken.astype(np.int64)
     panels = np.append(0, np.cumsum(width * (width - 1) // 2 + width * under))
     whole = np.diff(panels) + 3 * (width + under)  # rows are fetched and put back
     most = int(_SHARE * whole.sum()) if whole.sum() >= _WORTH else 0
-    places, count, longs = rows.copy(), len(whole), np.empty((2, len(order)), np.int64)
-    subtrees = np.empty((count, 2), np.int64)
-    fixed = (whole, most, subtrees, places, longs)
-    subtrees = subtrees[: kernels.find_subtrees(begins, first, rows, above, *fixed)].copy()
-    fronts, updates = (width + under) ** 2, under * (under + 1) // 2
-    inner = above >= 0
-    np.subtract.at(waiting := updates.copy(), above[inner], updates[inner])
-    ranges = [*subtrees.tolist(), [0, count]]
+    places, found = rows.copy(), np.empty((len(width), 2), np.int64)
+    fixed = (begins, first, rows, above, whole, most, found, places, *np.empty((2, n), np.int64))
+    subtrees = found[: kernels.find_subtrees(*fixed)].copy()
     sizes = np.array(
-        [[part.max(initial=0) for part in (fronts[a:b], waiting[a:b].cumsum())] for a, b in ranges]
+        [
+            [part.max(initial=0) for part in (fronts[a:b], waiting[a:b].cumsum())]
+            for a, b in [*subtrees.tolist(), (0, len(width))]
+        ]
     )
     own = whole[subtrees[:, 1] - 1]
     head = (starts, columns, order, begins, first, rows, above, panels)

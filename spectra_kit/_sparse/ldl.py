@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -93,25 +94,27 @@ class SparseLDL:
                 known.columns,
                 np.require(entries, None, "W"),  # loops are compiled for what can be written to
                 known.order,
-                place,
                 known.begins,
                 known.first,
                 known.rows,
                 known.above,
                 known.panels,
                 known.subtrees,
-                known.sizes,
+                place,
                 self._lower,
                 self.pivots,
                 np.empty(spots[-1]),
                 spots,
             )
             heaviest = np.argsort(-known.work, kind="stable").tolist()
+
+            def some(subtree: int) -> int:
+                return factorise(*fixed, subtree, *_scratch(known, subtree))
+
             with single_threaded_blas():  # so that no bit depends on its threads
-                found = in_threads(factorise, ((*fixed, i) for i in heaviest))
-                bad = max(found, default=-1)
+                bad = max(in_threads(some, ((i,) for i in heaviest)), default=-1)
                 if bad < 0:
-                    bad = factorise(*fixed, len(heaviest))
+                    bad = some(len(heaviest))
         except MemoryError as error:
             raise no_memory(self.n) from error
         if bad >= 0:
@@ -143,7 +146,8 @@ class SparseLDL:
         from spectra_kit._sparse._frontal_kernels import factor_columns
 
         known = self.elimination
-        starts, rows = factor_columns(known.begins, known.first, known.rows, known.fill)
+        starts, rows = np.empty(self.n + 1, np.int64), np.empty(known.fill, np.int32)
+        factor_columns(known.begins, known.first, known.rows, starts, rows)
         return sparse.csc_array((self._lower, rows, starts), (self.n, self.n))
 
     @property
@@ -209,11 +213,17 @@ class SparseLDL:
         beside = thread_count() if columns * self.fill >= WORTH_SHARING else 1
         hands = known.side_by_side(beside if len(cuts) < beside else 1)
 
+        lanes = () if columns == 1 else (LANES,)  # one as ARPACK asks, thousands of times
+
+        def part(y: NDArray[Any], *asked: Any) -> None:
+            work = np.empty((known.longest, *lanes), real)
+            solve_lanes(*(*fixed, y, y.reshape(-1), work, *asked))
+
         def solve(*cut: int) -> None:
-            y = np.empty(rows if columns == 1 else (rows, LANES), real)
+            y = np.empty((rows, *lanes), real)
             y[self.n :] = 0
             for some, what in ((hands, DOWN), ([known.rest], DOWN | MEET | UP), (hands, UP)):
-                in_threads(solve_lanes, ((*fixed, y, one, what, *cut) for one in some))
+                in_threads(part, ((y, one, what, *cut) for one in some))
 
         if beside == 1 or len(hands) > 1:
             for cut in cuts:
@@ -242,3 +252,14 @@ class SparseLDL:
     def _single(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """L and 1 / D in float32, kept after the first use."""
         return self._lower.astype(np.float32), self._inverse.astype(np.float32)
+
+
+def _scratch(known: Elimination, subtree: int) -> tuple[NDArray[Any], ...]:
+    """Return arrays for `factorise` to work in, each kind of which would take long to compile."""
+    from spectra_kit._sparse._frontal_kernels import WIDE
+
+    front, waiting = map(np.empty, known.sizes[subtree])
+    longest = math.isqrt(len(front))
+    local, behind = np.empty((2, len(known.order)), np.int32)
+    parts = np.empty((3, WIDE * longest))
+    return (local, behind, front, waiting, np.empty((4, longest)), *parts)

@@ -220,7 +220,8 @@ def _factor(pencil: Pencil, sigma: float) -> SparseLDL | None:
     if factor is None:
         return None
     shifted, ones = pencil.shifted(sigma), np.ones(factor.n)
-    x = factor.solve(ones)
+    # Two, as loops for several are needed anyhow: for one, others would have to be compiled.
+    x = factor.solve(np.ones((factor.n, 2)))[:, 0]
     error = np.abs(shifted @ x - ones) / (abs(shifted) @ np.abs(x) + ones)
     return factor if error.max() <= _ACCURATE else None
 

@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from importlib import import_module
 from typing import Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
@@ -70,43 +71,36 @@ def completion(asked: CompletionOptions) -> None:
     tell(asked, {"shell": asked.shell, "script": script}, script.removesuffix("\n"))
 
 
-def load(name: str) -> tuple[type[Command], Callable[[Any], None]]:
-    """Return what a command can be told, and its function; rooms of the library wait."""
-    from spectra_kit.cli import (
-        batch,
-        carry,
-        compare,
-        explore,
-        geodesic,
-        info,
-        learn,
-        match,
-        match_all,
-        modes,
-        surface,
-    )
+# Where the function of a command is, and beside it what it can be told. Those of others wait, and
+# rooms of the library.
+_PLACES = {
+    "info": "info.info",
+    "spectrum": "modes.spectrum",
+    "modes": "modes.modes",
+    "animate": "modes.animate",
+    "compare": "compare.compare",
+    "explore": "explore.explore",
+    "match": "match.match_shapes",
+    "carry": "carry.carry",
+    "geodesic": "geodesic.geodesic_distances",
+    "path": "surface.shortest_paths",
+    "curvature": "surface.curvature",
+    "smooth": "surface.smooth",
+    "similar": "learn.similar",
+    "label": "learn.label",
+    "batch": "batch.batch",
+    "match-all": "match_all.match_pairs",
+    "store": "batch.store",
+    "completion": "program.completion",
+}
 
-    commands: dict[str, tuple[type[Command], Callable[[Any], None]]] = {
-        "info": (info.InfoOptions, info.info),
-        "spectrum": (modes.SpectrumOptions, modes.spectrum),
-        "modes": (modes.ModesOptions, modes.modes),
-        "animate": (modes.AnimateOptions, modes.animate),
-        "compare": (compare.CompareOptions, compare.compare),
-        "explore": (explore.ExploreOptions, explore.explore),
-        "match": (match.MatchOptions, match.match_shapes),
-        "carry": (carry.CarryOptions, carry.carry),
-        "geodesic": (geodesic.GeodesicOptions, geodesic.geodesic_distances),
-        "path": (surface.PathOptions, surface.shortest_paths),
-        "curvature": (surface.CurvatureOptions, surface.curvature),
-        "smooth": (surface.SmoothOptions, surface.smooth),
-        "similar": (learn.SimilarOptions, learn.similar),
-        "label": (learn.LabelOptions, learn.label),
-        "batch": (batch.BatchOptions, batch.batch),
-        "match-all": (match_all.MatchAllOptions, match_all.match_pairs),
-        "store": (batch.StoreOptions, batch.store),
-        "completion": (CompletionOptions, completion),
-    }
-    return commands[name]
+
+def load(name: str) -> tuple[type[Command], Callable[[Any], None]]:
+    """Return what a command can be told, and its function."""
+    module, function = _PLACES[name].split(".")
+    place = import_module(f"spectra_kit.cli.{module}")
+    told = f"{name.title().replace('-', '')}Options"
+    return getattr(place, told), getattr(place, function)
 
 
 def _shown(default: object) -> object:

@@ -26,7 +26,7 @@ LEVEL = {name: i for i, row in enumerate(LAYERS) for name in row.split()}
 #: The one arrow that goes up: the solver stands beside the others, above the network.
 UPWARD = {("eigen.neo", "neo")}
 #: What imports by a string: packages that may be absent, and what is chosen by name.
-BY_NAME = {"_core/optional.py", "catalogue.py"}
+BY_NAME = {"_core/optional.py", "catalogue.py", "cli/program.py"}
 FILES = sorted(p for p in ROOT.rglob("*.py") if p != ROOT / "__init__.py")
 
 

@@ -28,14 +28,16 @@ def run(code: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_nothing_is_imported_before_it_is_asked_for() -> None:
-    """Neither by the package and its catalogue, nor by commands and their help, nor by arrays."""
+    """By the package, its catalogue, commands and their help, arrays; nor by other commands."""
     done = run(
         "import sys, spectra_kit as sk\n"
         "def there(*names): print(*({m.split('.')[0] for m in sys.modules} & {*names}))\n"
         "from spectra_kit import catalogue\n"
-        "from spectra_kit.cli.program import COMMANDS, app, help_text\n"
+        "from spectra_kit.cli.program import COMMANDS, app, help_text, parse\n"
         "text = help_text('--help')\n"
         "there('numpy', 'scipy', 'torch', 'numba', 'rich')\n"
+        "asked = parse(['spectrum', 'demo'])\n"
+        "print(*{'spectra_kit.cli.match', 'spectra_kit.cli.geodesic'} & {*sys.modules})\n"
         "program = app(*COMMANDS)\n"
         "there('scipy', 'torch', 'numba', 'rich')\n"
         "sk.as_geometry([[0, 0, 0]])\n"
@@ -43,7 +45,7 @@ def test_nothing_is_imported_before_it_is_asked_for() -> None:
         "there('torch', 'pyvista', 'vtk', 'vtkmodules', 'matplotlib', 'trimesh')"
     )
     names = "plot_modes spectra_kit.interop spectra_kit.eigen.metrics"
-    assert done.stdout.split("\n")[:4] == ["", "", names, ""], done.stderr
+    assert done.stdout.split("\n")[:5] == ["", "", "", names, ""], done.stderr
 
 
 def test_modes_of_a_closed_mesh_import_nothing_that_they_do_not_need() -> None:

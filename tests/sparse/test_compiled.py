@@ -140,7 +140,7 @@ def test_what_is_found_needs_nothing_that_compiles(loops) -> None:
 
 def test_orders_and_factors_are_compiled_for_one_kind_of_arguments() -> None:
     """Whether an array may be written to, or an index has 32 bits or 64, would be another."""
-    from spectra_kit._sparse import _degree_kernels, _frontal_kernels
+    from spectra_kit._sparse import _degree_kernels, _frontal_kernels, _tree_kernels
     from spectra_kit._sparse.elimination import Elimination
     from spectra_kit._sparse.ldl import SparseLDL
 
@@ -149,7 +149,7 @@ def test_orders_and_factors_are_compiled_for_one_kind_of_arguments() -> None:
         SparseLDL(matrix, elimination=Elimination.of(matrix)).solve(np.ones(3))
         for part in (matrix.indptr, matrix.indices, matrix.data):
             part.flags.writeable = False
-    for module in (_degree_kernels, _frontal_kernels):
+    for module in (_degree_kernels, _tree_kernels, _frontal_kernels):
         loops = [loop for loop in vars(module).values() if hasattr(loop, "signatures")]
         assert loops
         assert all(len(loop.signatures) <= 1 for loop in loops)
