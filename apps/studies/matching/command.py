@@ -12,9 +12,10 @@ r"""Match sets of shapes whose correspondence is known, and measure the maps.
 
 A set is a folder of NAME.npz files, or the name of one in $SPECTRA_KIT_DATA: vertices V, faces F,
 corres (vertices in corresponding places, the same number in each file) and corres_sym (their mirror
-images, where they are known), all counted from 0. Of faust_r, and of folders with other names, 100
-random pairs are matched, of smal_r and scape_a all, of tosca_r all within a class;
---protocol and --pairs say otherwise.
+images, where they are known), all counted from 0. Or scans with the truth of each pair, as in
+shrec19: pairs.npz beside them. Of faust_r, and of folders with other names, 100
+random pairs are matched, of smal_r and scape_a all, of tosca_r all within a class, of shrec19 those
+with a truth; --protocol and --pairs say otherwise.
 
 With --triangulations the targets are made anew in six ways: as they are, with anisotropic
 triangles, simplified by quadrics, dense, by marching cubes, and as a cloud.

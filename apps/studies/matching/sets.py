@@ -27,6 +27,7 @@ PROTOCOLS = {
     "all-pairs": "all ordered pairs, without self pairs",
     "ren-300": f"the pairs listed by Ren et al. 2018 as far as present{_SMALLER}",
     "same-class": "ordered pairs within each class, without self pairs",
+    "given": "the pairs whose truth comes with the set",
 }
 _SYMMETRIC = ("ren-300",)
 _RANDOM = 100  # pairs, where no other number is asked for
@@ -63,6 +64,9 @@ def make_protocol(
     if name == "ren-300":
         present = {subject.name for subject in everyone}
         pairs = [pair for pair in _listed(listed) if set(pair) <= present]
+    elif name == "given":  # of A_B each vertex of A gets one of B
+        present = {subject.name for subject in everyone}
+        pairs = [(b, one.name) for one in everyone for b in one.images if b in present]
     else:
         pairs = [
             (a.name, b.name)
@@ -98,7 +102,12 @@ def _listed(path: Path | None) -> _Listed:
 # --- sets ---
 
 #: What is measured of a set where no other protocol is asked for; of others, random pairs.
-USUAL = {"smal_r": "all-pairs", "scape_a": "all-pairs", "tosca_r": "same-class"}
+USUAL = {
+    "smal_r": "all-pairs",
+    "scape_a": "all-pairs",
+    "tosca_r": "same-class",
+    "shrec19": "given",
+}
 _UP: dict[str, Up] = {"smal_r": "-y", "scape_a": "x", "tosca_r": "z"}  # else the view tells
 _ONE_CLASS = ("smal_r",)  # whose names do not tell classes by letters and digits
 
