@@ -25,7 +25,7 @@ from spectra_kit.geometry import PointCloud, components, torus
 def data(tmp_path, monkeypatch):
     """A folder of data with the sets whose protocols are known, and another."""
     mesh = bumpy()
-    for name in (*USUAL, "own"):
+    for name in (*(name for name in USUAL if USUAL[name] != "given"), "own"):
         (tmp_path / name).mkdir()
         for subject in ("cat0", "cat1", "dog-2_x"):
             np.savez(tmp_path / name / f"{subject}.npz", V=mesh.points, F=mesh.faces, corres=[0, 1])
@@ -34,8 +34,9 @@ def data(tmp_path, monkeypatch):
 
 
 def test_every_set_has_its_usual_pairs(data, monkeypatch):
-    found = {one.name: one for one in pair_sets([*USUAL, data / "own"])}
-    assert {name: one.protocol.name for name, one in found.items()} == {**USUAL, "own": "random"}
+    usual = {name: protocol for name, protocol in USUAL.items() if protocol != "given"}
+    found = {one.name: one for one in pair_sets([*usual, data / "own"])}
+    assert {name: one.protocol.name for name, one in found.items()} == {**usual, "own": "random"}
     assert len(found["smal_r"].protocol.pairs) == 6
     assert found["tosca_r"].protocol.pairs == (("cat0", "cat1"), ("cat1", "cat0"))
     assert list(found["tosca_r"].subjects) == ["cat0", "cat1"]  # no other is read again
@@ -49,6 +50,32 @@ def test_every_set_has_its_usual_pairs(data, monkeypatch):
     monkeypatch.delenv("SPECTRA_KIT_DATA")
     with pytest.raises(InvalidInputError, match="names of sets in SPECTRA_KIT_DATA"):
         pair_sets(["smal_r"])
+
+
+def test_scans_come_with_the_truth_of_each_pair(tmp_path):
+    """And as they are: vertices twice, a face turned, a speck beside the body."""
+    body, folder = creature(500, pose=1), tmp_path / "shrec19"
+    folder.mkdir()
+    other = creature(500, pose=2)
+    speck = np.array([[9.0, 9, 9], [9, 9.1, 9], [9.1, 9, 9]])
+    turned = other.faces.copy()
+    turned[7] = turned[7, ::-1]
+    points = np.concatenate([speck, other.points])
+    faces = np.concatenate([[[0, 1, 2]], turned + 3])
+    np.savez(folder / "01.npz", V=body.points, F=body.faces, evaluated=np.arange(0, 500, 5))
+    np.savez(folder / "02.npz", V=points, F=faces, evaluated=np.arange(500))
+    there = np.arange(3, 503)  # the vertex of 02 that is that of 01
+    there[10] = 1  # in the speck
+    np.savez(folder / "pairs.npz", **{"01_02": there})
+    [found] = pair_sets([folder])
+    assert found.protocol == Protocol("given", (("02", "01"),))
+    source, target = (found.subjects[name] for name in ("02", "01"))
+    assert source.mesh.n == other.n
+    assert np.array_equal(source.mesh.faces, other.faces)
+    truth = truth_between(source, target)
+    assert len(truth.target) == 99
+    gaps = source.mesh.points[truth.source] - other.points[truth.target]
+    assert np.abs(gaps).max() < 1e-12
 
 
 # --- six triangulations ---
