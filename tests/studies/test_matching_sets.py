@@ -71,7 +71,8 @@ def test_scans_come_with_the_truth_of_each_pair(tmp_path):
     assert found.protocol == Protocol("given", (("02", "01"),))
     source, target = (found.subjects[name] for name in ("02", "01"))
     assert source.mesh.n == other.n
-    assert np.array_equal(source.mesh.faces, other.faces)
+    wound = [[np.roll(f, -f.argmin()).tolist() for f in m.faces] for m in (source.mesh, other)]
+    assert wound[0] == wound[1]
     truth = truth_between(source, target)
     assert len(truth.target) == 99
     gaps = source.mesh.points[truth.source] - other.points[truth.target]
