@@ -33,10 +33,13 @@ from spectra_kit.operators.laplacian import Laplacian
 
 # Lanczos needs a subspace well above k; below this multiple of it the dense solver is as fast.
 _DENSE_RATIO = 3
-# Modes times points from which on blocks are faster than one vector at a time: as fast for 40 modes
-# of 2,000 points and 96 of 850, by a third for 150 of 1,000.
-_WORTH = 80_000
-_MANY = 40  # modes from which on one vector finds them in a smaller space
+# Up to so many points, and so many more for each mode, LAPACK is quicker than either on a factor: as
+# quick for 10 modes of 270 points, 48 of 370, 96 of 480.
+_DENSELY = 250, 2.4
+_SPREAD = 1e5  # times as large eigenvalues whose rounding does not tell in the lowest, there
+# Modes from which on blocks are faster than one vector at a time, which finds them in a smaller
+# space; and modes times points: as fast for 28 to 45 modes of 500 to 1,500 points.
+_MANY, _WORTH = 40, 80_000
 _SHIFT = 0.1  # of the spacing of eigenvalues, below the spectrum
 _FEWEST = 2 * MOST  # points on which blocks have all the room that they can use
 _LEAST, _ROOMY = 500, 2.5  # fewer will do, and so many times as many as vectors find the modes
@@ -327,15 +330,33 @@ def _densely(laplacian: Laplacian, k: int, reason: str) -> Eigenpairs:
     return dense.eigenpairs(laplacian, k)._replace(solver=dense, reason=reason)
 
 
-def cheapest(n: int, k: int, *, tol: float = 0.0, seed: int = 0) -> Arpack | Lanczos:
-    """Return what is quickest of both: one vector for few modes or points, else blocks."""
-    if n * k >= _WORTH and _has_room(n, k):
+def cheapest(n: int, k: int, *, tol: float = 0.0, seed: int = 0) -> Dense | Arpack | Lanczos:
+    """Return what is quickest: LAPACK on few points, one vector for few modes, else blocks."""
+    few, each = _DENSELY
+    if n <= few + each * k and not tol:
+        return Dense()
+    return _on_factor(n, k, tol=tol, seed=seed)
+
+
+def _on_factor(n: int, k: int, *, tol: float = 0.0, seed: int = 0) -> Arpack | Lanczos:
+    if (k >= _MANY or n * k >= _WORTH) and _has_room(n, k):
         return Lanczos(tol=tol, seed=seed)
     return Arpack(tol=tol, seed=seed)
 
 
-def or_densely(solver: Arpack | Lanczos, laplacian: Laplacian, k: int, reason: str) -> Eigenpairs:
-    """Return what Lanczos finds, or LAPACK where it gives up on few points; says which, and why."""
+def or_densely(
+    solver: Dense | Arpack | Lanczos, laplacian: Laplacian, k: int, reason: str, *, seed: int = 0
+) -> Eigenpairs:
+    """Return what the `cheapest` finds, or another where that is better; says which, and why.
+
+    LAPACK where Lanczos gives up on few points; not where it would round the lowest eigenvalues by
+    what the largest are.
+    """
+    if isinstance(solver, Dense):
+        largest = 2 * float((laplacian.stiffness.diagonal() / laplacian._diagonal).max())
+        if largest <= _SPREAD * laplacian.eigenvalue_spacing:
+            return solver.eigenpairs(laplacian, k)._replace(solver=solver, reason=reason)
+        solver = _on_factor(laplacian.n, k, seed=seed)
     try:
         pairs = solver.eigenpairs(laplacian, k)
     except NotConvergedError as error:
