@@ -19,6 +19,8 @@ from spectra_kit.eigen.base import Eigenpairs, Promise
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.operators.laplacian import Laplacian
 
+#: Times as large as the lowest eigenvalues the largest are, whose rounding leaves these ten digits.
+SPREAD = 1e6
 _ORTHONORMAL = 1e-10  # LAPACK's is far better where it is right
 # Times as many points as modes from which on LAPACK finds these in less time than all of them.
 _FEW_OF_ALL = 10

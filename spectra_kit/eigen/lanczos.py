@@ -27,7 +27,7 @@ from spectra_kit._sparse.slicing import (
     vectors_held,
 )
 from spectra_kit.eigen.base import Eigenpairs, NotConvergedError, Promise
-from spectra_kit.eigen.dense import Dense
+from spectra_kit.eigen.dense import SPREAD, Dense
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.operators.laplacian import Laplacian
 
@@ -36,7 +36,6 @@ _DENSE_RATIO = 3
 # Up to so many points, and so many more for each mode, LAPACK is quicker than either on a factor: as
 # quick for 10 modes of 270 points, 48 of 370, 96 of 480.
 _DENSELY = 250, 2.4
-_SPREAD = 1e5  # times as large eigenvalues whose rounding does not tell in the lowest, there
 # Modes from which on blocks are faster than one vector at a time, which finds them in a smaller
 # space; and modes times points: as fast for 28 to 45 modes of 500 to 1,500 points.
 _MANY, _WORTH = 40, 80_000
@@ -354,7 +353,7 @@ def or_densely(
     """
     if isinstance(solver, Dense):
         largest = 2 * float((laplacian.stiffness.diagonal() / laplacian._diagonal).max())
-        if largest <= _SPREAD * laplacian.eigenvalue_spacing:
+        if largest <= SPREAD * laplacian.eigenvalue_spacing:
             return solver.eigenpairs(laplacian, k)._replace(solver=solver, reason=reason)
         solver = _on_factor(laplacian.n, k, seed=seed)
     try:

@@ -180,7 +180,7 @@ class TriangleMesh(_Shape):
     @cached_property
     def referenced_vertices(self) -> Ints:
         """Vertices that a face uses, ascending."""
-        return frozen(np.unique(self.faces))
+        return frozen(np.flatnonzero(np.bincount(self.faces.ravel(), minlength=self.n)))
 
     @cached_property
     def component_labels(self) -> Ints:

@@ -221,18 +221,23 @@ class Laplacian(Rebuilt):
         held = np.where((rest > 0) & (rest < all_of_it / 2), rest, all_of_it)
         return np.where(held > 0, factor * held, instead)
 
-    @property
+    @cached
     def _held(self) -> tuple[Floats, Floats]:
         """What holds each point: all, and what does beside a potential; (n,) each.
 
         In a volume over the distance of points, the cube root of M, with which it grows.
         """
         diagonal = self.stiffness.diagonal()
-        sums, rounding = _row_sums(self.stiffness)
-        others = np.asarray(abs(self.stiffness).sum(axis=1)) - diagonal
+        sums, rounding = self._sums
+        others = rounding / _ROUNDING - diagonal
         beside = np.where(np.abs(sums) > rounding, np.minimum(diagonal, others), diagonal)
         grown = self.mass ** (1 - 2 / self.dimension)
         return diagonal / grown, beside / grown
+
+    @cached
+    def _sums(self) -> tuple[Floats, Floats]:
+        """The sum of each row of L, and what rounding can make of one that is zero."""
+        return _row_sums(self.stiffness)
 
     @cached_property
     def component_labels(self) -> Ints:
@@ -258,7 +263,7 @@ class Laplacian(Rebuilt):
         the rounding of its entries, has none. (In float32 the rounding of L looks like one.)
         """
         free, labels = self.free, self.component_labels[self.free]
-        sums, rounding = _row_sums(self.stiffness)
+        sums, rounding = self._sums
         found = np.bincount(labels, np.abs(sums)[free]) <= np.bincount(labels, rounding[free])
         if len(self.fixed):
             beside = np.diff(self.stiffness[free][:, self.fixed].indptr) > 0
@@ -457,7 +462,10 @@ def with_zero_sums(stiffness: sparse.sparray) -> sparse.csr_array:
     """
     matrix = sparse.csr_array(stiffness)
     sums, rounding = _row_sums(matrix)
-    return sparse.csr_array(matrix - sparse.diags_array(np.where(np.abs(sums) > rounding, sums, 0)))
+    off = np.abs(sums) > rounding
+    if not off.any():
+        return matrix
+    return sparse.csr_array(matrix - sparse.diags_array(np.where(off, sums, 0)))
 
 
 def _medians(values: Floats, labels: Ints) -> Floats:
