@@ -58,9 +58,7 @@ def are_quick(parts: list[Ints]) -> bool:
     return sum(len(part) ** 2 for part in parts if len(part) <= SMALL) <= _QUICK
 
 
-def small_components(
-    laplacian: Laplacian, parts: list[Ints], most: int = SMALL
-) -> Iterator[Alike]:
+def small_components(laplacian: Laplacian, parts: list[Ints], most: int = SMALL) -> Iterator[Alike]:
     """Yield those of the `parts`, which are components, that have few points: at most so many.
 
     `parts` may be some of them, the points of each ascending. By their sizes, ascending.
