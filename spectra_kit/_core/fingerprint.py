@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from spectra_kit._core.types import Floats
 
-
 _DIGEST = "_digest"
 
 

@@ -47,10 +47,10 @@ _RTOL = 1e-8  # residuals whose errors are rounding
 class Automatic:
     """Say how accurate the eigenvalues must be: what costs least for that is chosen.
 
-    The choice follows from measured costs: on hundreds of points `Dense`; where they are few, or the
-    accuracy is high, `Arpack`, from 40 modes on `Lanczos`, as loosely as the accuracy allows;
-    `Cascade` elsewhere, and where no factor fits. Where the cascade estimates that it has missed the accuracy, `Refined` goes on from
-    its modes with a factor.
+    The choice follows from measured costs: on hundreds of points `Dense`; where they are few, or
+    the accuracy is high, `Arpack`, from 40 modes on `Lanczos`, as loosely as the accuracy allows;
+    `Cascade` elsewhere, and where no factor fits. Where the cascade estimates that it has missed
+    the accuracy, `Refined` goes on from its modes with a factor.
     ``provenance.solver`` and ``provenance.reason`` tell what was chosen, and why.
 
     Parameters

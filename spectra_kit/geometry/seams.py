@@ -87,12 +87,11 @@ def joined(points: Floats, reach: Floats) -> Ints:
 
 
 def seams(mesh: TriangleMesh) -> Seams | None:
-    """Return where boundary edges of a mesh lie on others; None where none does. Looked for once."""
-    kept = vars(mesh)
+    """Return where boundary edges of a mesh lie on others; None where none does. Kept with it."""
+    kept: dict[str, Seams | None] = vars(mesh)
     if _KEPT not in kept:
         kept[_KEPT] = _found(mesh)
-    found: Seams | None = kept[_KEPT]
-    return found
+    return kept[_KEPT]
 
 
 def _found(mesh: TriangleMesh) -> Seams | None:
