@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -336,6 +336,18 @@ class Laplacian(Rebuilt):
                 "indices", "be a vector of at least one point", f"shape {indices.shape}"
             )
         M = self.consistent_mass
+        if M is None and (np.diff(indices) > 0).all():  # what was checked of all holds of some
+            part = object.__new__(Laplacian)
+            vars(part).update(
+                {one.name: getattr(self, one.name) for one in fields(self)},
+                stiffness=_block(self.stiffness, indices),
+                mass=frozen(self.mass[indices]),
+                points=frozen(self.points[indices]),
+                fixed=frozen(np.empty(0, dtype=np.int64)),
+            )
+            for buffer in (part.stiffness.data, part.stiffness.indices, part.stiffness.indptr):
+                buffer.flags.writeable = False
+            return part
         return Laplacian(
             _block(self.stiffness, indices),
             self.mass[indices],
@@ -374,7 +386,9 @@ def _block(matrix: sparse.csr_array, indices: Ints) -> sparse.csr_array:
     inside = indices[np.minimum(place, len(indices) - 1)] == rows.indices
     starts = np.concatenate([[0], np.cumsum(inside)])[rows.indptr]
     shape = (len(indices), len(indices))
-    return sparse.csr_array((rows.data[inside], place[inside], starts), shape=shape)
+    kind = matrix.indices.dtype
+    columns, starts = place[inside].astype(kind), starts.astype(kind)
+    return sparse.csr_array((rows.data[inside], columns, starts), shape=shape)
 
 
 def split_mass(name: str, mass: Any, n: int) -> tuple[ArrayLike, sparse.csr_array | None]:
