@@ -274,7 +274,8 @@ def _face_counts(mesh: TriangleMesh) -> dict[str, Any]:
 
 def enclosed(points: Floats, faces: NDArray[Any]) -> float:
     """Return the volume inside a closed surface, negative where it faces inwards."""
-    return float(np.linalg.det((points - points[0])[faces]).sum() / 6)
+    a, b, c = (points - points[0])[faces].transpose(1, 0, 2)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
 def _count_split_fans(mesh: TriangleMesh) -> int:
