@@ -294,5 +294,6 @@ def _count_split_fans(mesh: TriangleMesh) -> int:
     # Where two faces share an edge, their corners at each end of it belong to one fan.
     links = np.concatenate([low[one], high[one]]), np.concatenate([low[other], high[other]])
     fan = connected(*links, len(corner))
-    at = np.unique(vertex * len(corner) + fan) // len(corner)  # the vertex of each fan
+    at = np.empty(fan.max() + 1, dtype=np.int64)  # the vertex of each fan
+    at[fan] = vertex
     return int((np.bincount(at) > 1).sum())

@@ -206,9 +206,12 @@ class Laplacian(Rebuilt):
         """Bound on rounding in ``M^-1/2 L M^-1/2 u``, and what one triangle hides of asymmetry."""
         L, scale = self.stiffness, 1 / np.sqrt(self._diagonal * self._least_weight)
         magnitude = scale * (abs(L) @ scale)
-        asymmetry = scale * (abs(L - L.T.tocsr()) @ scale)
+        turned, asymmetry = L.T.tocsr(), 0.0
+        parts = (L.data, turned.data), (L.indices, turned.indices), (L.indptr, turned.indptr)
+        if not all(np.array_equal(*both) for both in parts):
+            asymmetry = float((scale * (abs(L - turned) @ scale)).max())
         longest = int(np.diff(L.indptr).max())
-        return float((longest + 4) * _EPS * magnitude.max() + asymmetry.max())
+        return float((longest + 4) * _EPS * magnitude.max()) + asymmetry
 
     def _typical(self, diagonal: Floats, beside: Floats, labels: Ints) -> Floats:
         """Return the spacing of each component, by label, if its mass were one.
