@@ -183,10 +183,10 @@ class SparseLDL:
         pattern = (known.order, known.begins, known.first, known.rows, known.panels)
         columns = rhs.size // max(self.n, 1)
         block = (rhs.reshape(self.n, columns), out.reshape(self.n, columns))
-        cuts = shares(columns, -(-columns // LANES)) if columns else []
         if columns == 1:  # as ARPACK asks, thousands of times
             solve_column(*pattern, lower, inverse, *block, 0, 1)
         else:
+            cuts = shares(columns, -(-columns // LANES)) if columns else []
             in_threads(solve_columns, ((*pattern, lower, inverse, *block, *cut) for cut in cuts))
         return out
 

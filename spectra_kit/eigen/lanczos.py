@@ -16,6 +16,7 @@ from spectra_kit._core.clock import Clock
 from spectra_kit._core.threads import blas_threads_for
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, check_positive, quantity
+from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit._sparse.shift_invert import shifted_factor
 from spectra_kit._sparse.slicing import (
@@ -61,6 +62,20 @@ class _ShiftInvert:
         check_count("seed", seed, low=0)
         if not 0 <= self.tol < 1:
             raise InvalidInputError("tol", "be in [0, 1)", self.tol)
+
+
+class _Inverse(LinearOperator):  # type: ignore[misc]
+    """``D A^-1 R`` by a factor of A, of diagonals; hundreds of vectors come, none is looked at."""
+
+    def __init__(self, factor: SparseLDL, right: Floats, left: Floats) -> None:
+        super().__init__(np.float64, (factor.n, factor.n))
+        self._factor, self._right, self._left = factor, right, left
+
+    def matvec(self, x: Floats) -> Floats:
+        """Apply it."""
+        return np.asarray(self._left * self._factor.solve(self._right * x))
+
+    _matvec = matvec
 
 
 @checked
@@ -127,11 +142,7 @@ class Arpack(_ShiftInvert):
         # A power of two near the spacing changes no digit.
         unit = 2.0 ** np.rint(np.log2(laplacian.eigenvalue_spacing))
         root, M = np.sqrt(laplacian.mass), laplacian.consistent_mass
-        inverse = LinearOperator(
-            laplacian.stiffness.shape,
-            matvec=lambda x: unit * root * factor.solve(root * x.ravel()),
-            dtype=np.float64,
-        )
+        inverse = _Inverse(factor, root, unit * root)
         asked: dict[str, Any] = {"which": "LA"}
         if M is not None:  # in its inner product, scaled: values come back as lambda / unit
             scale = sparse.diags_array(1 / root)
