@@ -35,8 +35,8 @@ from spectra_kit.operators.laplacian import Laplacian
 # Lanczos needs a subspace well above k; below this multiple of it the dense solver is as fast.
 _DENSE_RATIO = 3
 # Up to so many points, and so many more for each mode, LAPACK is quicker than either on a factor:
-# as quick for 10 modes of 270 points, 48 of 370, 96 of 480.
-_DENSELY = 250, 2.4
+# as quick for 24 modes of 250 points, 48 of 350, 96 of 550.
+_DENSELY = 150, 4.0
 # Modes from which on blocks are faster than one vector at a time, which finds them in a smaller
 # space; and modes times points: as fast for 28 to 45 modes of 500 to 1,500 points.
 _MANY, _WORTH = 40, 80_000
