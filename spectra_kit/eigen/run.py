@@ -39,7 +39,7 @@ from spectra_kit.eigen.certificate import Certificate, Provenance
 from spectra_kit.eigen.counting import count_modes, verify
 from spectra_kit.eigen.dense import SPREAD, Dense
 from spectra_kit.eigen.refined import Refined
-from spectra_kit.eigen.small_parts import SMALL, are_quick, small_components
+from spectra_kit.eigen.small_parts import are_quick, small_components
 from spectra_kit.eigen.spectrum import Spectrum, certificate_of
 from spectra_kit.eigen.subspaces.base import GivenBasis, RandomBasis, Union, restricted
 from spectra_kit.errors import (
@@ -255,18 +255,21 @@ class _Run:
         if not whole:
             every = given is not None or (at_once and are_quick(parts))
             most = modes_wanted(laplacian, parts, k, all_parts=every).tolist()
-        # Weyl: a component's share of the low modes is about its share of the area. Of small ones
-        # that are solved together all modes are found at the cost of some.
+        # Weyl: a component's share of the low modes is about its share of the area.
         wanted = [
-            room if at_once and len(part) <= SMALL else min(room, math.ceil(1.1 * k * share) + 6)
-            for room, part, share in zip(most, parts, areas / areas.sum(), strict=True)
+            min(room, math.ceil(1.1 * k * share) + 6)
+            for room, share in zip(most, areas / areas.sum(), strict=True)
         ]
         due = [i for i, room in enumerate(most) if room]
         lacking: RankError | None = None
         while due:
             alone = set(due)
             if isinstance(solver, Automatic | Dense) and at_once:
-                alone -= self.together(due, wanted, solver)
+                # At the cost of some modes these have all: nobody asks for more of them.
+                solved = self.together(due, most, solver)
+                alone -= solved
+                for i in solved:
+                    wanted[i] = most[i]
             for i in sorted(alone):
                 part = laplacian if whole else laplacian.restricted(parts[i])
                 own = solver if whole else restricted(solver, parts[i])

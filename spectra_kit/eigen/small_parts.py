@@ -12,7 +12,7 @@ from spectra_kit._core.threads import single_threaded_blas
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit.operators.laplacian import Laplacian
 
-SMALL = 192  #: Points: beyond, LAPACK on all of them costs more than a call each
+_SMALL = 192  # points: beyond, LAPACK on all of them costs more than a call each
 _TOGETHER = 2**22  # numbers of their matrices at once
 _QUICK = 2**18  # the same, whose modes are all found before it would be known which are wanted
 
@@ -55,17 +55,19 @@ class Alike(NamedTuple):
 
 def are_quick(parts: list[Ints]) -> bool:
     """Whether the small ones of some components take little time, all modes of all of them."""
-    return sum(len(part) ** 2 for part in parts if len(part) <= SMALL) <= _QUICK
+    return sum(len(part) ** 2 for part in parts if len(part) <= _SMALL) <= _QUICK
 
 
-def small_components(laplacian: Laplacian, parts: list[Ints], most: int = SMALL) -> Iterator[Alike]:
+def small_components(
+    laplacian: Laplacian, parts: list[Ints], most: int = _SMALL
+) -> Iterator[Alike]:
     """Yield those of the `parts`, which are components, that have few points: at most so many.
 
     `parts` may be some of them, the points of each ascending. By their sizes, ascending.
     """
     labels, root = laplacian.component_labels, np.sqrt(laplacian.mass)
     every = np.array([len(part) for part in parts], dtype=np.int64)
-    some = np.flatnonzero(every <= min(most, SMALL))
+    some = np.flatnonzero(every <= min(most, _SMALL))
     some = some[np.argsort(every[some], kind="stable")]
     place = np.empty(laplacian.n, dtype=np.int64)
     begun = (np.cumsum(every[some] ** 2) - 1) // _TOGETHER

@@ -155,3 +155,15 @@ def test_small_parts_are_blocks_of_the_operator_by_size(monkeypatch, together) -
             block = laplacian.stiffness.toarray()[np.ix_(points, points)] / scale
             np.testing.assert_allclose(matrix, block, rtol=1e-14)
     assert seen == [1, *range(2, 7), 7, 8, 9]
+
+
+def test_a_small_part_that_lapack_would_round_is_asked_for_its_share_alone() -> None:
+    """One point of hardly any mass: the largest eigenvalue is far above all others."""
+    ball = sk.robust_laplacian(sphere(subdivisions=2).geometry)
+    mass = np.tile(ball.mass, 2)
+    mass[0] *= 1e-9
+    stiffness = sparse.csr_array(sparse.block_diag([ball.stiffness] * 2))
+    both = sk.Laplacian(stiffness, mass, np.zeros((2 * ball.n, 3)))
+    found = sk.eigensolve(both, 80)
+    assert found.provenance.reason.endswith("of 2 components, 1 by arpack")
+    assert found.certificate.level == "verified"
