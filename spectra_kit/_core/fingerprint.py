@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from spectra_kit._core.types import Floats
 
+_DIGEST = "_digest"
+
 
 class _Shape(Protocol):
     @property
@@ -34,14 +36,13 @@ def arrays_digest(*arrays: NDArray[Any]) -> str:
 
 
 def shape_digest(geometry: _Shape) -> str:
-    """Hash of the points of a cloud; of a mesh, of its faces, too."""
-    return arrays_digest(
-        *(
-            array
-            for name in ("points", "faces")
-            if (array := getattr(geometry, name, None)) is not None
-        )
-    )
+    """Hash of the points of a cloud; of a mesh, of its faces, too. It is kept with the geometry."""
+    known: str | None = vars(geometry).get(_DIGEST)
+    if known is None:
+        parts = (getattr(geometry, name, None) for name in ("points", "faces"))
+        known = arrays_digest(*(array for array in parts if array is not None))
+        vars(geometry)[_DIGEST] = known
+    return known
 
 
 def facts_digest(facts: Mapping[str, object]) -> str:

@@ -115,7 +115,7 @@ def in_threads(task: Callable[..., Any], arguments: Iterable[tuple[Any, ...]]) -
     afterwards, and several may call at once.
     """
     calls = list(arguments)
-    workers = min(thread_count(), len(calls))
+    workers = min(thread_count(), len(calls)) if len(calls) > 1 else 1
     if workers <= 1:
         return _one_by_one(task, calls)
     if (members := _team.get()) is not None:

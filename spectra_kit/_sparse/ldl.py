@@ -174,6 +174,7 @@ class SparseLDL:
         non-negative matrix N is at most ``max (N x) / x`` for any x > 0 (Collatz and Wielandt).
         """
         lower = abs(self.lower)
+        upper = lower.T  # another object each time that it is asked for
         longest = int(np.bincount(lower.indices, minlength=1).max())
         scale = 1 / np.sqrt(weight[self.elimination.order])
         x = 1 / scale
@@ -181,7 +182,7 @@ class SparseLDL:
         with np.errstate(over="ignore", invalid="ignore"):
             for _ in range(_BALANCING):
                 y = scale * x
-                y = np.abs(self.pivots) * (y + lower.T @ y)
+                y = np.abs(self.pivots) * (y + upper @ y)
                 product = scale * (y + lower @ y)
                 before, bound = bound, min(bound, float((product / x).max()))
                 if bound > (1 - _SHARPER) * before:

@@ -127,11 +127,11 @@ class SpectrumStore:
         facts = _spectrum_facts(shape_digest(shape), plan)
         self.keep_shape(shape)
         made = made.described(made.certificate, replace(made.provenance, seconds={}))
-        vectors = made.eigenvectors.astype(plan.precision)
+        vectors = made.eigenvectors.astype(plan.precision, copy=False)
         arrays = made._arrays | {"eigenvectors": vectors}
         with self._new("spectra", facts_digest(facts)) as path:
             write_spectrum_file(path, arrays, made.certificate, made.provenance, facts=facts)
-        return replace(made, eigenvectors=vectors)
+        return made if vectors is made.eigenvectors else replace(made, eigenvectors=vectors)
 
     def descriptor(self, shape: Geometry, plan: Plan, name: Descriptor) -> Floats:
         """Return a signature of a shape; compute and keep it, and the spectrum, if it is not there.

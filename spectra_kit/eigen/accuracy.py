@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import quantity
 from spectra_kit._core.warn import warn
-from spectra_kit._sparse.host import inner
+from spectra_kit._sparse.host import dots, inner
 from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit._sparse.pencil import Pencil
 from spectra_kit._sparse.products import spmm
@@ -192,8 +192,13 @@ def _inexactness(
     for begin, end in pairwise(starts.tolist()):  # clusters that are looked at together
         columns = slice(first[begin], last[end - 1])
         U = np.ascontiguousarray(spectrum.eigenvectors[:, columns])
-        off = inner(U, spmm(laplacian.stiffness, U)) - np.diag(spectrum.eigenvalues[columns])
-        unlike = spectrum._products[columns, columns] - np.eye(U.shape[1])
+        images, unlike = spmm(laplacian.stiffness, U), spectrum._products[columns, columns]
+        if U.shape[1] == end - begin:  # each alone, as a rule
+            skew[begin:end] = np.abs(dots(U, images) - spectrum.eigenvalues[columns])
+            apart[begin:end] = np.abs(unlike.diagonal() - 1)
+            continue
+        off = inner(U, images) - np.diag(spectrum.eigenvalues[columns])
+        unlike = unlike - np.eye(U.shape[1])
         inside = np.repeat(np.arange(begin, end), last[begin:end] - first[begin:end])
         within = inside[:, None] == inside
         for error, sums in ((off, skew), (unlike, apart)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spectra_kit._core.threads import blas_threads_for
-from spectra_kit._core.types import Ints
+from spectra_kit._core.types import Floats, Ints
 from spectra_kit._sparse.host import less
 from spectra_kit._sparse.ritz import ritz_rotation
 from spectra_kit.eigen.base import Eigenpairs, Eigensolver, NotConvergedError
@@ -116,9 +116,12 @@ def with_exact_constant(laplacian: Laplacian, pairs: Eigenpairs) -> Eigenpairs:
         return pairs
     near = np.abs(cosines) >= min(_CONSTANT, np.abs(cosines).max())
     values, vectors = pairs.eigenvalues.copy(), less(pairs.eigenvectors, constant * cosines)
-    # The first axis goes to the constant, the others span what else these modes span.
-    axes = np.linalg.qr(cosines[near, None], mode="complete")[0]
-    others = ritz_rotation(laplacian.stiffness, laplacian._weights, vectors[:, near] @ axes[:, 1:])
+    others: tuple[Floats, Floats] = np.empty(0), np.empty((laplacian.n, 0))
+    if near.sum() > 1:
+        # The first axis goes to the constant, the others span what else these modes span.
+        axes = np.linalg.qr(cosines[near, None], mode="complete")[0]
+        rest = vectors[:, near] @ axes[:, 1:]
+        others = ritz_rotation(laplacian.stiffness, laplacian._weights, rest)
     raised, errors = others[0], pairs.errors
     # Of loose modes, quotients are further off than what told their values.
     if errors is not None and cosines[near][0] ** 2 > _ALONE:

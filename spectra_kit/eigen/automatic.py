@@ -19,6 +19,7 @@ from spectra_kit.eigen.base import (
     set_device,
 )
 from spectra_kit.eigen.cascade import Cascade
+from spectra_kit.eigen.dense import Dense
 from spectra_kit.eigen.lanczos import Arpack, Lanczos, cheapest, or_densely
 from spectra_kit.eigen.refined import Refined
 from spectra_kit.eigen.subspaces.base import GivenBasis
@@ -46,10 +47,10 @@ _RTOL = 1e-8  # residuals whose errors are rounding
 class Automatic:
     """Say how accurate the eigenvalues must be: what costs least for that is chosen.
 
-    The choice follows from measured costs: for few points and where the accuracy is high `Arpack`,
-    from 40 modes on `Lanczos`, as loosely as the accuracy allows; `Cascade` elsewhere, and where no
-    factor fits. Where the cascade estimates that it has missed the accuracy, `Refined` goes on from
-    its modes with a factor.
+    The choice follows from measured costs: on hundreds of points `Dense`; where they are few, or
+    the accuracy is high, `Arpack`, from 40 modes on `Lanczos`, as loosely as the accuracy allows;
+    `Cascade` elsewhere, and where no factor fits. Where the cascade estimates that it has missed
+    the accuracy, `Refined` goes on from its modes with a factor.
     ``provenance.solver`` and ``provenance.reason`` tell what was chosen, and why.
 
     Parameters
@@ -150,8 +151,8 @@ class Automatic:
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
         solver, reason = self.choose(laplacian.n, k, laplacian.dimension)
-        if isinstance(solver, Arpack | Lanczos):
-            return or_densely(solver, laplacian, k, reason)
+        if isinstance(solver, Dense | Arpack | Lanczos):
+            return or_densely(solver, laplacian, k, reason, seed=self.seed)
         found = Eigenpairs(*solver.eigenpairs(laplacian, k))
         if found.solver is None or found.solver is solver:
             found = found._replace(solver=solver, reason=reason)

@@ -114,7 +114,8 @@ class Cascade(OnPoints):
         few = self.coarsest is None and k <= _FEW_MODES and laplacian.n <= _FEW_POINTS
         if self.subspace is None and (few or not levels):
             why = f"an exact solution is quickest for {quantity(k, 'mode')} of {laplacian.n} points"
-            return or_densely(cheapest(laplacian.n, k, seed=self.seed), laplacian, k, why)
+            exact = cheapest(laplacian.n, k, seed=self.seed)
+            return or_densely(exact, laplacian, k, why, seed=self.seed)
         clock.stage("coarsen")
         bottom = levels[-1] if levels else gathers
         with device_memory(), team():

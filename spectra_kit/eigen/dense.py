@@ -9,17 +9,23 @@ from typing import ClassVar
 import numpy as np
 from scipy import sparse
 from scipy.linalg import eigh
+from scipy.linalg.lapack import dormqr, dstevd, dsytrd
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
 from spectra_kit._core.threads import blas_threads_for
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count
-from spectra_kit.eigen.base import Eigenpairs, Promise
+from spectra_kit.eigen.base import Eigenpairs, NotConvergedError, Promise
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.operators.laplacian import Laplacian
 
+#: Times as large as the lowest eigenvalues the largest are, whose rounding leaves these ten digits.
+SPREAD = 1e6
 _ORTHONORMAL = 1e-10  # LAPACK's is far better where it is right
+# Times as many points as modes from which on LAPACK finds these in less time than all of them.
+_FEW_OF_ALL = 10
+_WIDE = 64  # columns that LAPACK takes together, at most
 
 
 @checked
@@ -74,10 +80,10 @@ class Dense:
 def _lowest(stiffness: sparse.csr_array, root: Floats, k: int) -> tuple[Floats, Floats]:
     """Return the k lowest pairs of the standard form.
 
-    LAPACK's quicker way, which computes no others, may fail or lose orthogonality where parts
-    hardly touch; divide and conquer computes all, and does not.
+    LAPACK's way to compute no others, quicker where they are few, may fail or lose orthogonality
+    where parts hardly touch; divide and conquer computes all, and does not.
     """
-    if k < len(root):
+    if _FEW_OF_ALL * k <= len(root):
         with suppress(np.linalg.LinAlgError):
             some = [0, k - 1]
             values, vectors = eigh(
@@ -85,9 +91,20 @@ def _lowest(stiffness: sparse.csr_array, root: Floats, k: int) -> tuple[Floats, 
             )
             if np.abs(vectors.T @ vectors - np.eye(k)).max() < _ORTHONORMAL:
                 return values, vectors
-    values, vectors = eigh(_standard(stiffness, root), driver="evd", overwrite_a=True)
-    return values[:k], vectors[:, :k]
+    n, A = len(root), _standard(stiffness, root)
+    reduced, d, e, tau, _ = dsytrd(A, lower=1, lwork=_WIDE * n, overwrite_a=1)
+    values, vectors, failed = dstevd(d, e if n > 1 else np.zeros(1))
+    if failed:
+        raise NotConvergedError("LAPACK's divide and conquer did not converge")
+    vectors = vectors[:, :k]  # of a tridiagonal matrix; only these are turned back
+    if n > 1:
+        below = np.array(vectors[1:], order="F")
+        turned, *_ = dormqr("L", "N", reduced[1:, :-1], tau, below, _WIDE * k, overwrite_c=1)
+        vectors = np.vstack([vectors[:1], turned])
+    return values[:k], vectors
 
 
 def _standard(stiffness: sparse.csr_array, root: Floats) -> Floats:
-    return np.asarray(stiffness.toarray() / root / root[:, None])
+    scaled = stiffness.copy()
+    scaled.data /= np.repeat(root, np.diff(scaled.indptr)) * root[scaled.indices]
+    return np.asarray(scaled.toarray(order="F"))

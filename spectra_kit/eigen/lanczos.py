@@ -16,6 +16,7 @@ from spectra_kit._core.clock import Clock
 from spectra_kit._core.threads import blas_threads_for
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, check_positive, quantity
+from spectra_kit._sparse.ldl import SparseLDL
 from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit._sparse.shift_invert import shifted_factor
 from spectra_kit._sparse.slicing import (
@@ -27,16 +28,18 @@ from spectra_kit._sparse.slicing import (
     vectors_held,
 )
 from spectra_kit.eigen.base import Eigenpairs, NotConvergedError, Promise
-from spectra_kit.eigen.dense import Dense
+from spectra_kit.eigen.dense import SPREAD, Dense
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.operators.laplacian import Laplacian
 
 # Lanczos needs a subspace well above k; below this multiple of it the dense solver is as fast.
 _DENSE_RATIO = 3
-# Modes times points from which on blocks are faster than one vector at a time: as fast for 40 modes
-# of 2,000 points and 96 of 850, by a third for 150 of 1,000.
-_WORTH = 80_000
-_MANY = 40  # modes from which on one vector finds them in a smaller space
+# Up to so many points, and so many more for each mode, LAPACK is quicker than either on a factor:
+# as quick for 24 modes of 250 points, 48 of 350, 96 of 550.
+_DENSELY = 150, 4.0
+# Modes from which on blocks are faster than one vector at a time, which finds them in a smaller
+# space; and modes times points: as fast for 28 to 45 modes of 500 to 1,500 points.
+_MANY, _WORTH = 40, 80_000
 _SHIFT = 0.1  # of the spacing of eigenvalues, below the spectrum
 _FEWEST = 2 * MOST  # points on which blocks have all the room that they can use
 _LEAST, _ROOMY = 500, 2.5  # fewer will do, and so many times as many as vectors find the modes
@@ -59,6 +62,20 @@ class _ShiftInvert:
         check_count("seed", seed, low=0)
         if not 0 <= self.tol < 1:
             raise InvalidInputError("tol", "be in [0, 1)", self.tol)
+
+
+class _Inverse(LinearOperator):  # type: ignore[misc]
+    """``D A^-1 R`` by a factor of A, of diagonals; hundreds of vectors come, none is looked at."""
+
+    def __init__(self, factor: SparseLDL, right: Floats, left: Floats) -> None:
+        super().__init__(np.float64, (factor.n, factor.n))
+        self._factor, self._right, self._left = factor, right, left
+
+    def matvec(self, x: Floats) -> Floats:
+        """Apply it."""
+        return np.asarray(self._left * self._factor.solve(self._right * x))
+
+    _matvec = matvec
 
 
 @checked
@@ -125,11 +142,7 @@ class Arpack(_ShiftInvert):
         # A power of two near the spacing changes no digit.
         unit = 2.0 ** np.rint(np.log2(laplacian.eigenvalue_spacing))
         root, M = np.sqrt(laplacian.mass), laplacian.consistent_mass
-        inverse = LinearOperator(
-            laplacian.stiffness.shape,
-            matvec=lambda x: unit * root * factor.solve(root * x.ravel()),
-            dtype=np.float64,
-        )
+        inverse = _Inverse(factor, root, unit * root)
         asked: dict[str, Any] = {"which": "LA"}
         if M is not None:  # in its inner product, scaled: values come back as lambda / unit
             scale = sparse.diags_array(1 / root)
@@ -327,15 +340,33 @@ def _densely(laplacian: Laplacian, k: int, reason: str) -> Eigenpairs:
     return dense.eigenpairs(laplacian, k)._replace(solver=dense, reason=reason)
 
 
-def cheapest(n: int, k: int, *, tol: float = 0.0, seed: int = 0) -> Arpack | Lanczos:
-    """Return what is quickest of both: one vector for few modes or points, else blocks."""
-    if n * k >= _WORTH and _has_room(n, k):
+def cheapest(n: int, k: int, *, tol: float = 0.0, seed: int = 0) -> Dense | Arpack | Lanczos:
+    """Return what is quickest: LAPACK on few points, one vector for few modes, else blocks."""
+    few, each = _DENSELY
+    if n <= few + each * k and not tol:
+        return Dense()
+    return _on_factor(n, k, tol=tol, seed=seed)
+
+
+def _on_factor(n: int, k: int, *, tol: float = 0.0, seed: int = 0) -> Arpack | Lanczos:
+    if (k >= _MANY or n * k >= _WORTH) and _has_room(n, k):
         return Lanczos(tol=tol, seed=seed)
     return Arpack(tol=tol, seed=seed)
 
 
-def or_densely(solver: Arpack | Lanczos, laplacian: Laplacian, k: int, reason: str) -> Eigenpairs:
-    """Return what Lanczos finds, or LAPACK where it gives up on few points; says which, and why."""
+def or_densely(
+    solver: Dense | Arpack | Lanczos, laplacian: Laplacian, k: int, reason: str, *, seed: int = 0
+) -> Eigenpairs:
+    """Return what the `cheapest` finds, or another where that is better; says which, and why.
+
+    LAPACK where Lanczos gives up on few points; not where it would round the lowest eigenvalues by
+    what the largest are.
+    """
+    if isinstance(solver, Dense):
+        largest = 2 * float((laplacian.stiffness.diagonal() / laplacian._diagonal).max())
+        if largest <= SPREAD * laplacian.eigenvalue_spacing:
+            return solver.eigenpairs(laplacian, k)._replace(solver=solver, reason=reason)
+        solver = _on_factor(laplacian.n, k, seed=seed)
     try:
         pairs = solver.eigenpairs(laplacian, k)
     except NotConvergedError as error:

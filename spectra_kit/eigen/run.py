@@ -37,9 +37,9 @@ from spectra_kit.eigen.automatic import Automatic
 from spectra_kit.eigen.base import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.eigen.certificate import Certificate, Provenance
 from spectra_kit.eigen.counting import count_modes, verify
-from spectra_kit.eigen.dense import Dense
+from spectra_kit.eigen.dense import SPREAD, Dense
 from spectra_kit.eigen.refined import Refined
-from spectra_kit.eigen.small_parts import small_components
+from spectra_kit.eigen.small_parts import are_quick, small_components
 from spectra_kit.eigen.spectrum import Spectrum, certificate_of
 from spectra_kit.eigen.subspaces.base import GivenBasis, RandomBasis, Union, restricted
 from spectra_kit.errors import (
@@ -54,7 +54,6 @@ _ORTHONORMAL = 1e-6  # a spectrum further from M-orthonormal is refused
 _ROUNDS = 8  # counts, with a search for what is missing between them; two are enough as a rule
 _BEST = 1e-13  # relative residuals not to ask for less than
 _ORDINARY = 30  # powers of two from one within which sizes and energies need no other unit
-_SPREAD = 1e4  # times as large eigenvalues whose rounding does not tell in the lowest
 _NEAR = 10  # modes that complete an exact spectrum may have residuals so many times those it has
 
 
@@ -252,8 +251,10 @@ class _Run:
         # Columns of all parts may have few on one, and need the others.
         given = getattr(solver, "subspace", None) or getattr(solver, "start", None)
         most = [k]
+        at_once = isinstance(solver, Automatic | Dense) and not whole
         if not whole:
-            most = modes_wanted(laplacian, parts, k, all_parts=given is not None).tolist()
+            every = given is not None or (at_once and are_quick(parts))
+            most = modes_wanted(laplacian, parts, k, all_parts=every).tolist()
         # Weyl: a component's share of the low modes is about its share of the area.
         wanted = [
             min(room, math.ceil(1.1 * k * share) + 6)
@@ -263,8 +264,12 @@ class _Run:
         lacking: RankError | None = None
         while due:
             alone = set(due)
-            if isinstance(solver, Automatic | Dense) and not whole:
-                alone -= self.together(due, wanted, solver)
+            if isinstance(solver, Automatic | Dense) and at_once:
+                # At the cost of some modes these have all: nobody asks for more of them.
+                solved = self.together(due, most, solver)
+                alone -= solved
+                for i in solved:
+                    wanted[i] = most[i]
             for i in sorted(alone):
                 part = laplacian if whole else laplacian.restricted(parts[i])
                 own = solver if whole else restricted(solver, parts[i])
@@ -317,7 +322,7 @@ class _Run:
             values, vectors = alike.eigenpairs(laplacian)
             lowest = np.where(second, values[:, min(1, n - 1)], values[:, 0])
             unit = np.minimum(lowest, laplacian.component_spacings[alike.which])
-            for j in np.flatnonzero(norms <= _SPREAD * unit):
+            for j in np.flatnonzero(norms <= SPREAD * unit):
                 i = int(alike.which[j])
                 k = wanted[i]
                 told: dict[str, Any] = {"errors": np.zeros(1)} if n == 1 else {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -15,6 +14,7 @@ from spectra_kit.operators.laplacian import Laplacian
 
 _SMALL = 192  # points: beyond, LAPACK on all of them costs more than a call each
 _TOGETHER = 2**22  # numbers of their matrices at once
+_QUICK = 2**18  # the same, whose modes are all found before it would be known which are wanted
 
 
 class Alike(NamedTuple):
@@ -53,27 +53,40 @@ class Alike(NamedTuple):
         return values, vectors
 
 
+def are_quick(parts: list[Ints]) -> bool:
+    """Whether the small ones of some components take little time, all modes of all of them."""
+    return sum(len(part) ** 2 for part in parts if len(part) <= _SMALL) <= _QUICK
+
+
 def small_components(
     laplacian: Laplacian, parts: list[Ints], most: int = _SMALL
 ) -> Iterator[Alike]:
     """Yield those of the `parts`, which are components, that have few points: at most so many.
 
-    `parts` may be some of them, the points of each ascending.
+    `parts` may be some of them, the points of each ascending. By their sizes, ascending.
     """
     labels, root = laplacian.component_labels, np.sqrt(laplacian.mass)
-    sizes = np.array([len(part) for part in parts], dtype=np.int64)
+    every = np.array([len(part) for part in parts], dtype=np.int64)
+    some = np.flatnonzero(every <= min(most, _SMALL))
+    some = some[np.argsort(every[some], kind="stable")]
     place = np.empty(laplacian.n, dtype=np.int64)
-    for size in np.unique(sizes[sizes <= min(most, _SMALL)]):
-        some = np.flatnonzero(sizes == size)
-        for rows in np.array_split(some, math.ceil(len(some) * size**2 / _TOGETHER)):
-            points = np.concatenate([parts[i] for i in rows])
-            place[points] = np.arange(len(points))
-            entries = sparse.coo_array(laplacian.stiffness[points])
-            inside = labels[entries.col] == labels[points[entries.row]]
-            row, column, data = entries.row[inside], entries.col[inside], entries.data[inside]
-            matrices = np.zeros((len(rows), size, size))
-            matrices[row // size, row % size, place[column] % size] = (
-                data / root[points[row]] / root[column]
-            )
-            points = points.reshape(-1, size)
-            yield Alike(labels[points[:, 0]], points, matrices)
+    begun = (np.cumsum(every[some] ** 2) - 1) // _TOGETHER
+    for rows in np.split(some, np.flatnonzero(np.diff(begun)) + 1) if len(some) else ():
+        sizes = every[rows]
+        points = np.concatenate([parts[i] for i in rows])
+        own = np.repeat(np.arange(len(rows)), sizes)  # of each point
+        starts = np.cumsum(sizes) - sizes
+        place[points] = np.arange(len(points)) - starts[own]
+        entries = sparse.coo_array(laplacian.stiffness[points])
+        inside = labels[entries.col] == labels[points[entries.row]]
+        row, column, data = entries.row[inside], entries.col[inside], entries.data[inside]
+        ends, point = np.cumsum(sizes**2), points[row]
+        numbers = np.zeros(ends[-1])
+        at = (ends - sizes**2)[own[row]] + place[point] * sizes[own[row]] + place[column]
+        numbers[at] = data / root[point] / root[column]
+        for size in np.unique(sizes):
+            which = np.flatnonzero(sizes == size)
+            first = which[0]
+            matrices = numbers[ends[first] - size**2 : ends[which[-1]]].reshape(-1, size, size)
+            these = points[starts[first] : starts[first] + size * len(which)].reshape(-1, size)
+            yield Alike(labels[these[:, 0]], these, matrices)

@@ -259,7 +259,7 @@ def _face_counts(mesh: TriangleMesh) -> dict[str, Any]:
         "nonmanifold_edges": int((faces_at_edge > 2).sum()),
         "nonmanifold_vertices": _count_split_fans(mesh),
         "degenerate_faces": int(mesh.degenerate_faces().sum()),
-        "duplicate_faces": n_faces - len(mesh.without_duplicate_faces().faces),
+        "duplicate_faces": n_faces - len(distinct_rows(np.sort(mesh.faces, axis=1))[0]),
         "unreferenced_vertices": mesh.n - n_used,
         "near_points": cut.near if cut else 0,
         "seam_edges": cut.edges if cut else 0,
@@ -274,7 +274,8 @@ def _face_counts(mesh: TriangleMesh) -> dict[str, Any]:
 
 def enclosed(points: Floats, faces: NDArray[Any]) -> float:
     """Return the volume inside a closed surface, negative where it faces inwards."""
-    return float(np.linalg.det((points - points[0])[faces]).sum() / 6)
+    a, b, c = (points - points[0])[faces].transpose(1, 0, 2)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
 def _count_split_fans(mesh: TriangleMesh) -> int:
@@ -293,5 +294,6 @@ def _count_split_fans(mesh: TriangleMesh) -> int:
     # Where two faces share an edge, their corners at each end of it belong to one fan.
     links = np.concatenate([low[one], high[one]]), np.concatenate([low[other], high[other]])
     fan = connected(*links, len(corner))
-    at = np.unique(vertex * len(corner) + fan) // len(corner)  # the vertex of each fan
+    at = np.empty(fan.max() + 1, dtype=np.int64)  # the vertex of each fan
+    at[fan] = vertex
     return int((np.bincount(at) > 1).sum())

@@ -30,6 +30,7 @@ HANGING = (
 #: digits, of six in texts, are off by 1e-3 of edges that are a thousandth of the whole; what is
 #: joined so moves eigenvalues by less than such triangles are off anyway.
 NEAR = 0.01
+_KEPT = "_seams"
 _ALIKE = 0.99  # cosine; faces at two near edges that turn less than that are of two sheets
 
 
@@ -86,7 +87,14 @@ def joined(points: Floats, reach: Floats) -> Ints:
 
 
 def seams(mesh: TriangleMesh) -> Seams | None:
-    """Return where boundary edges of a mesh lie on others; None where none does."""
+    """Return where boundary edges of a mesh lie on others; None where none does. Kept with it."""
+    kept: dict[str, Seams | None] = vars(mesh)
+    if _KEPT not in kept:
+        kept[_KEPT] = _found(mesh)
+    return kept[_KEPT]
+
+
+def _found(mesh: TriangleMesh) -> Seams | None:
     edges, counts = mesh.unique_edges
     boundary = edges[counts == 1]
     if not len(boundary):

@@ -180,7 +180,7 @@ class TriangleMesh(_Shape):
     @cached_property
     def referenced_vertices(self) -> Ints:
         """Vertices that a face uses, ascending."""
-        return frozen(np.unique(self.faces))
+        return frozen(np.flatnonzero(np.bincount(self.faces.ravel(), minlength=self.n)))
 
     @cached_property
     def component_labels(self) -> Ints:
@@ -271,7 +271,7 @@ def side_keys(faces: Ints, n: int) -> Ints:
 
 def connected(a: Ints, b: Ints, n: int) -> Ints:
     """Return the part (n,) of each of n things, of which pairs are connected."""
-    graph = sparse.coo_array((np.ones(len(a), dtype=bool), (a, b)), shape=(n, n))
+    graph = sparse.csr_array((np.ones(len(a)), (a, b)), shape=(n, n))  # as the search takes it
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 

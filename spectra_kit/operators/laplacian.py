@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -206,9 +206,12 @@ class Laplacian(Rebuilt):
         """Bound on rounding in ``M^-1/2 L M^-1/2 u``, and what one triangle hides of asymmetry."""
         L, scale = self.stiffness, 1 / np.sqrt(self._diagonal * self._least_weight)
         magnitude = scale * (abs(L) @ scale)
-        asymmetry = scale * (abs(L - L.T.tocsr()) @ scale)
+        turned, asymmetry = L.T.tocsr(), 0.0
+        parts = (L.data, turned.data), (L.indices, turned.indices), (L.indptr, turned.indptr)
+        if not all(np.array_equal(*both) for both in parts):
+            asymmetry = float((scale * (abs(L - turned) @ scale)).max())
         longest = int(np.diff(L.indptr).max())
-        return float((longest + 4) * _EPS * magnitude.max() + asymmetry.max())
+        return float((longest + 4) * _EPS * magnitude.max()) + asymmetry
 
     def _typical(self, diagonal: Floats, beside: Floats, labels: Ints) -> Floats:
         """Return the spacing of each component, by label, if its mass were one.
@@ -221,18 +224,23 @@ class Laplacian(Rebuilt):
         held = np.where((rest > 0) & (rest < all_of_it / 2), rest, all_of_it)
         return np.where(held > 0, factor * held, instead)
 
-    @property
+    @cached
     def _held(self) -> tuple[Floats, Floats]:
         """What holds each point: all, and what does beside a potential; (n,) each.
 
         In a volume over the distance of points, the cube root of M, with which it grows.
         """
         diagonal = self.stiffness.diagonal()
-        sums, rounding = _row_sums(self.stiffness)
-        others = np.asarray(abs(self.stiffness).sum(axis=1)) - diagonal
+        sums, rounding = self._sums
+        others = rounding / _ROUNDING - diagonal
         beside = np.where(np.abs(sums) > rounding, np.minimum(diagonal, others), diagonal)
         grown = self.mass ** (1 - 2 / self.dimension)
         return diagonal / grown, beside / grown
+
+    @cached
+    def _sums(self) -> tuple[Floats, Floats]:
+        """The sum of each row of L, and what rounding can make of one that is zero."""
+        return _row_sums(self.stiffness)
 
     @cached_property
     def component_labels(self) -> Ints:
@@ -258,7 +266,7 @@ class Laplacian(Rebuilt):
         the rounding of its entries, has none. (In float32 the rounding of L looks like one.)
         """
         free, labels = self.free, self.component_labels[self.free]
-        sums, rounding = _row_sums(self.stiffness)
+        sums, rounding = self._sums
         found = np.bincount(labels, np.abs(sums)[free]) <= np.bincount(labels, rounding[free])
         if len(self.fixed):
             beside = np.diff(self.stiffness[free][:, self.fixed].indptr) > 0
@@ -331,6 +339,18 @@ class Laplacian(Rebuilt):
                 "indices", "be a vector of at least one point", f"shape {indices.shape}"
             )
         M = self.consistent_mass
+        if M is None and (np.diff(indices) > 0).all():  # what was checked of all holds of some
+            part = object.__new__(Laplacian)
+            vars(part).update(
+                {one.name: getattr(self, one.name) for one in fields(self)},
+                stiffness=_block(self.stiffness, indices),
+                mass=frozen(self.mass[indices]),
+                points=frozen(self.points[indices]),
+                fixed=frozen(np.empty(0, dtype=np.int64)),
+            )
+            for buffer in (part.stiffness.data, part.stiffness.indices, part.stiffness.indptr):
+                buffer.flags.writeable = False
+            return part
         return Laplacian(
             _block(self.stiffness, indices),
             self.mass[indices],
@@ -369,7 +389,9 @@ def _block(matrix: sparse.csr_array, indices: Ints) -> sparse.csr_array:
     inside = indices[np.minimum(place, len(indices) - 1)] == rows.indices
     starts = np.concatenate([[0], np.cumsum(inside)])[rows.indptr]
     shape = (len(indices), len(indices))
-    return sparse.csr_array((rows.data[inside], place[inside], starts), shape=shape)
+    kind = matrix.indices.dtype
+    columns, starts = place[inside].astype(kind), starts.astype(kind)
+    return sparse.csr_array((rows.data[inside], columns, starts), shape=shape)
 
 
 def split_mass(name: str, mass: Any, n: int) -> tuple[ArrayLike, sparse.csr_array | None]:
@@ -457,7 +479,10 @@ def with_zero_sums(stiffness: sparse.sparray) -> sparse.csr_array:
     """
     matrix = sparse.csr_array(stiffness)
     sums, rounding = _row_sums(matrix)
-    return sparse.csr_array(matrix - sparse.diags_array(np.where(np.abs(sums) > rounding, sums, 0)))
+    off = np.abs(sums) > rounding
+    if not off.any():
+        return matrix
+    return sparse.csr_array(matrix - sparse.diags_array(np.where(off, sums, 0)))
 
 
 def _medians(values: Floats, labels: Ints) -> Floats:

@@ -10,7 +10,7 @@ from scipy import sparse
 
 import spectra_kit as sk
 from spectra_kit._sparse.pencil import Pencil
-from spectra_kit.eigen import Eigenpairs, accuracy, automatic, run
+from spectra_kit.eigen import Eigenpairs, accuracy, automatic, lanczos, run
 from spectra_kit.geometry import sphere, torus
 
 
@@ -189,6 +189,7 @@ def hidden() -> sk.Laplacian:
 def test_what_was_refuted_before_memory_ended_is_told(monkeypatch, solver, room, refuted) -> None:
     monkeypatch.setattr(automatic, "_FEW", 0)
     monkeypatch.setattr(automatic, "_FEW_FOR_EACH", 0)
+    monkeypatch.setattr(lanczos, "_MANY", 41)  # one factor is enough
     memory = Memory(monkeypatch, room)
     found = sk.eigensolve(hidden(), 40, solver)
     assert memory.ended

@@ -11,6 +11,8 @@ from conftest import whole_spectrum
 from scipy import sparse
 
 import spectra_kit as sk
+from spectra_kit.eigen import small_parts
+from spectra_kit.eigen.answers import component_indices
 from spectra_kit.geometry import TriangleMesh, sphere
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
@@ -136,3 +138,32 @@ def test_a_part_is_the_operator_on_its_points() -> None:
     np.testing.assert_array_equal(part.stiffness.toarray(), expected)
     turned = laplacian.restricted(some[::-1])
     np.testing.assert_array_equal(turned.stiffness.toarray(), expected[::-1, ::-1])
+
+
+@pytest.mark.parametrize("together", [2**22, 600])
+def test_small_parts_are_blocks_of_the_operator_by_size(monkeypatch, together) -> None:
+    """Tetrahedra, and balls of 162 points between them; one corner is held, one part left out."""
+    monkeypatch.setattr(small_parts, "_TOGETHER", together)
+    laplacian = sk.laplacian(with_balls(7)).dirichlet([5])
+    parts = component_indices(laplacian)[1:]
+    root, seen = np.sqrt(laplacian.mass), []
+    for alike in small_parts.small_components(laplacian, parts):
+        for which, points, matrix in zip(*alike, strict=True):
+            seen.append(int(which))
+            np.testing.assert_array_equal(points, parts[which - 1])
+            scale = np.outer(root[points], root[points])
+            block = laplacian.stiffness.toarray()[np.ix_(points, points)] / scale
+            np.testing.assert_allclose(matrix, block, rtol=1e-14)
+    assert seen == [1, *range(2, 7), 7, 8, 9]
+
+
+def test_a_small_part_that_lapack_would_round_is_asked_for_its_share_alone() -> None:
+    """One point of hardly any mass: the largest eigenvalue is far above all others."""
+    ball = sk.robust_laplacian(sphere(subdivisions=2).geometry)
+    mass = np.tile(ball.mass, 2)
+    mass[0] *= 1e-9
+    stiffness = sparse.csr_array(sparse.block_diag([ball.stiffness] * 2))
+    both = sk.Laplacian(stiffness, mass, np.zeros((2 * ball.n, 3)))
+    found = sk.eigensolve(both, 80)
+    assert found.provenance.reason.endswith("of 2 components, 1 by arpack")
+    assert found.certificate.level == "verified"
