@@ -2,6 +2,7 @@ r"""Match FAUST bodies without an arm, a leg or the lower half against other per
 
     python apps/studies/run.py parts OUT                  # 60 pairs of bodies 40-79
     python apps/studies/run.py parts OUT --persons 0 2 --pairs 9
+    python apps/studies/run.py parts OUT --both 20        # both bodies of a pair are cut
 
 Errors are those of all landmarks that both bodies have left, found covered or not, along edges of
 the uncut body, in hundredths of the root of its area; overlaps are of what is covered with what is
@@ -30,7 +31,7 @@ from spectra_kit._core.types import Bools, Floats, Ints
 from spectra_kit.errors import DoubtfulMatchWarning
 from spectra_kit.geodesics import edge_graph, pair_distances
 from spectra_kit.geometry import TriangleMesh, largest_component
-from spectra_kit.maps import match, match_part
+from spectra_kit.maps import match_part
 from studies.machine import describe_machine
 from studies.matching.subjects import Subject, subjects_in
 from studies.report import Table, write_report
@@ -140,78 +141,6 @@ def part_of(subject: Subject, kept: Bools) -> Part:
     return Part(piece.mesh, piece.vertex_index)
 
 
-BOTH = ("planes", "balls", "disjoint")  #: How both bodies of a pair are cut.
-
-
-class BothCut(NamedTuple):
-    """Numbers of two FAUST bodies, both of which are cut, and the cuts."""
-
-    source: int
-    target: int
-    kind: str
-    seed: int
-
-    def __str__(self) -> str:
-        return f"{self.source:03d}-{self.target:03d}-{self.kind}-{self.seed}"
-
-
-def both_cut(persons: Sequence[int], count: int, disjoint: int, *, seed: int = 0) -> list[BothCut]:
-    """Draw bodies as `cut_pairs`: `count` that share something, by turns, then those that do not."""
-    drawn = cut_pairs(persons, count + disjoint, seed=seed)
-    kinds = [BOTH[i % 2] for i in range(count)] + [BOTH[2]] * disjoint
-    return [BothCut(p.part, p.whole, kind, p.seed) for p, kind in zip(drawn, kinds, strict=True)]
-
-
-def both_landmarks(reference: Subject, cut: BothCut) -> tuple[Bools, Bools]:
-    """Tell which landmarks are left of the source, and which of the target, (c,) each.
-
-    Planes stand anywhere, and balls are along the surface; each leaves 30 to 85 % of the area in one
-    piece. What both share is 20 to 80 % of the smaller, evenly drawn; or they lie on two sides of
-    one cut, up to 15 % of the area apart.
-    """
-    mesh = reference.mesh
-    persons = [cut.source // 10, cut.target // 10]  # the same seed cuts other persons elsewhere
-    rng = np.random.default_rng([len(KINDS) + BOTH.index(cut.kind), cut.seed, *persons])
-    mass = vertex_areas(mesh) / mesh.area
-    graph = edge_graph(mesh)
-
-    def ranks(balls: bool) -> Floats:
-        """Return the share of the area that a cut through each vertex takes."""
-        way = rng.normal(size=3)
-        far = mesh.points @ way
-        if balls:
-            far = rng.choice([-1, 1]) * dijkstra(graph, directed=False, indices=rng.integers(mesh.n))
-        order = np.argsort(far, kind="stable")
-        place = np.empty(mesh.n)
-        place[order] = np.cumsum(mass[order])
-        return place
-
-    def piece(left: Bools) -> Bools:
-        _, label = connected_components(graph[left][:, left], directed=False)
-        out = np.zeros(mesh.n, dtype=bool)
-        out[left] = label == np.bincount(label, mass[left]).argmax()
-        return out
-
-    wanted = rng.uniform(0.2, 0.8)
-    while True:
-        if cut.kind == "disjoint":
-            place, first = ranks(bool(rng.integers(2))), rng.uniform(0.35, 0.6)
-            one, other = piece(place < first), piece(place > first + rng.uniform(0, 0.15))
-        else:
-            one, other = (
-                piece(ranks(cut.kind == "balls") < rng.uniform(0.35, 0.85)) for _ in range(2)
-            )
-        smaller = min(mass[one].sum(), mass[other].sum())
-        shared = mass[one & other].sum() / smaller
-        if smaller > 0.3 and (cut.kind == "disjoint" or abs(shared - wanted) < 0.03):
-            return one[reference.landmarks], other[reference.landmarks]
-
-
-def vertex_areas(mesh: TriangleMesh) -> Floats:
-    """Return a third of the area of the triangles around each vertex, (n,)."""
-    return np.bincount(mesh.faces.ravel(), np.repeat(mesh.face_areas / 3, 3), mesh.n)
-
-
 def overlap(one: Bools, other: Bools, mass: Floats) -> float:
     """Return the intersection over the union of two regions, by area."""
     return float(mass[one & other].sum() / mass[one | other].sum())
@@ -220,7 +149,6 @@ def overlap(one: Bools, other: Bools, mass: Floats) -> float:
 # --- the study ---
 
 _MODES = 200
-_CONTENDERS = {"match": match, "match_part": match_part}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -264,73 +192,23 @@ class Parts(Study[str, CutPair]):
         }
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class BothParts(Study[str, BothCut]):
-    """Maps between two parts: mean error on what both have, overlap of what is covered, doubts."""
-
-    name = "both"
-    fresh = False
-    contenders: Sequence[str] = ("match_parts",)
-    subjects: Mapping[str, Subject]
-
-    def _bodies(self, cut: BothCut) -> tuple[Subject, Subject]:
-        return self.subjects[f"tr_reg_{cut.source:03d}"], self.subjects[f"tr_reg_{cut.target:03d}"]
-
-    def facts(self, contender: str, problem: BothCut) -> dict[str, object]:
-        bodies = (self.subjects[REFERENCE], *self._bodies(problem))
-        return {"bodies": [body.digest for body in bodies], "cut": list(problem), "by": contender}
-
-    def measure(self, contender: str, problem: BothCut) -> Record:
-        bodies = self._bodies(problem)
-        left = both_landmarks(self.subjects[REFERENCE], problem)
-        pieces = [part_of(body, kept) for body, kept in zip(bodies, left, strict=True)]
-        start = time.process_time()
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DoubtfulMatchWarning)
-            found = _CONTENDERS[contender](*(piece.mesh for piece in pieces))
-        seconds = time.process_time() - start
-        places = []
-        for body, piece in zip(bodies, pieces, strict=True):
-            place = np.full(body.mesh.n, -1)
-            place[piece.vertices] = np.arange(len(piece.vertices))
-            places.append(place)
-        marks = [place[body.landmarks] for place, body in zip(places, bodies, strict=True)]
-        both = left[0] & left[1] & (marks[0] >= 0) & (marks[1] >= 0)
-        record: Record = {
-            "kind": problem.kind,
-            "shared": float(both.sum() / min(kept.sum() for kept in left)),
-            "confidence": found.confidence,
-            "convincing": found.convincing,
-            "score": found.score,
-            "doubts": list(found.doubts),
-            "cpu_seconds": seconds,
-            **getattr(found, "evidence", {}),
-        }
-        told = (getattr(found, "source_covered", None), found.covered)
-        for side, covered, body, piece, other in zip(
-            ("source", "target"), told, bodies, pieces, left[::-1], strict=True
-        ):
-            here = left_of(body, other)[piece.vertices]
-            every = np.ones(len(here), dtype=bool) if covered is None else np.asarray(covered)
-            record[f"{side}_overlap"] = overlap(every, here, vertex_areas(piece.mesh))
-        if both.any():
-            found_at = pieces[0].vertices[found.point_map[marks[1][both]]]
-            errors = pair_distances(bodies[0].mesh, bodies[0].landmarks[both], found_at)
-            record["error"] = 100 * float(errors.mean()) / bodies[0].mesh.area**0.5
-        return record
-
-
 def options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--data", type=Path, help="default: $SPECTRA_KIT_DATA/faust_r")
     add("--persons", type=int, nargs="+", default=[4, 5, 6, 7], metavar="P")
     add("--pairs", type=int, default=60, metavar="N")
+    add("--both", type=int, metavar="N", help="cut both bodies, and add N pairs that share nothing")
+    add("--by", nargs="+", choices=("match", "match_part"), help="of both cut; default: all")
     add("--seed", type=int, default=0, help="of the draw (%(default)s)")
 
 
 def measure(args: argparse.Namespace) -> bool:
     """Match and report; return whether there is a result."""
     subjects = subjects_in(given_folder(args.data, "faust_r"))
+    if args.both is not None:
+        from studies.matching.both_cut import measure_both
+
+        return measure_both(args, subjects)
     pairs = cut_pairs(args.persons, args.pairs, seed=args.seed)
     study = Parts(folder=args.out, problems=pairs, subjects=subjects)
     results = run(study, Store(args.out), jobs=0, retry=True, progress=True)
