@@ -198,7 +198,8 @@ def options(parser: argparse.ArgumentParser) -> None:
     add("--persons", type=int, nargs="+", default=[4, 5, 6, 7], metavar="P")
     add("--pairs", type=int, default=60, metavar="N")
     add("--both", type=int, metavar="N", help="cut both bodies, and add N pairs that share nothing")
-    add("--by", nargs="+", choices=("match", "match_part"), help="of both cut; default: all")
+    names = "match", "match_part", "region_pairs"
+    add("--by", nargs="+", choices=names, help="where both are cut; default: all")
     add("--seed", type=int, default=0, help="of the draw (%(default)s)")
 
 
