@@ -157,7 +157,7 @@ class BothParts(Study[str, BothCut]):
         }
         if isinstance(found, Answer):
             reached, covered = found.source_covered, found.covered
-            record |= {"margin": found.margin, "value": found.value, "gap": found.gap}
+            record |= {"margin": found.margin, "cost": found.cost, "gap": found.gap}
         else:
             reached = np.zeros(pieces[0].mesh.n, dtype=bool)
             covered = np.ones(pieces[1].mesh.n, dtype=bool)

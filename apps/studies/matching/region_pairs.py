@@ -43,7 +43,8 @@ _BY_VALUES, _BY_BOTH = (
 _OVERLAP = 0.75  # of two regions that are one
 _FOLLOWED, _ROUNDS, _K = 6, 3, 60
 _SMALL = 0.25  # exponent: small regions look alike by chance
-_DOUBTFUL, _STEEP = 0.36, 40.0
+_SMALL_END = 0.5  # the same, of where a trial leads
+_DOUBTFUL, _STEEP = 0.005, 6.0
 _REACH = 0.06  # of the root of the larger area: what is farther off the bent part is no partner
 
 
@@ -94,15 +95,15 @@ class Answer:
     source_covered: Bools
     covered: Bools
     score: float
-    value: float
+    cost: float  # see `_cost`
     area: float
     margin: float
     gap: float
 
     @property
     def confidence(self) -> float:
-        """How likely it is right: a logistic of the value alone, set by eye on tuning pairs."""
-        return float(1 / (1 + np.exp(_STEEP * (self.value - _DOUBTFUL))))
+        """How likely it is right: a logistic of the cost alone, set by eye on tuning pairs."""
+        return float(1 / (1 + (self.cost / _DOUBTFUL) ** _STEEP))
 
     @property
     def convincing(self) -> bool:
@@ -115,17 +116,22 @@ def match_region_pairs(source: TriangleMesh, target: TriangleMesh) -> Answer:
     parts = [Part(prepare(spectrum(m, 100), m), m.area / unit) for m in (source, target)]
     trials = _trials(parts[0], parts[1])
     ends = [_followed(parts, trial) for trial in trials[:_FOLLOWED]]
-    ends.sort(key=lambda end: end[0].value)
+    ends.sort(key=_cost)
     best, back, covered, gap = ends[0]
     rivals = [
-        trial.value
-        for trial in (*(end[0] for end in ends[1:]), *trials[_FOLLOWED:])
-        if _share(_of(trial, 0), _of(best, 0), parts[0]) < 0.5
-        or _share(_of(trial, 1), _of(best, 1), parts[1]) < 0.5
+        _cost(end)
+        for end in ends[1:]
+        if _share(_of(end[0], 0), _of(best, 0), parts[0]) < 0.5
+        or _share(_of(end[0], 1), _of(best, 1), parts[1]) < 0.5
     ]
-    margin = min(rivals, default=np.inf) / best.value
-    score = best.candidate.score
-    return Answer(back, covered[0], covered[1], score, best.value, best.area, margin, gap)
+    cost = _cost(ends[0])
+    margin = min(rivals, default=np.inf) / cost
+    return Answer(back, *covered, best.candidate.score, cost, best.area, margin, gap)
+
+
+def _cost(end: tuple[Trial, Ints, tuple[Bools, Bools], float]) -> float:
+    """Return how unlikely an end is: a right one lies close, and is not small."""
+    return float(end[0].candidate.score * end[3] / end[0].area ** _SMALL_END)
 
 
 def _of(trial: Trial, which: int) -> Ints:
@@ -243,7 +249,7 @@ def _followed(parts: list[Part], trial: Trial) -> tuple[Trial, Ints, tuple[Bools
         C = spectral_map(*sides, start, _K)[0].functional_map
         moved = _trial(parts, (one, other), sides, scored(*sides, C, False))
         end = moved, *_bent(parts, moved)[1:]
-        best = min(best, end, key=lambda found: found[0].value)
+        best = min(best, end, key=_cost)
     return best
 
 
