@@ -5,7 +5,7 @@ are paired by their eigenvalues and signatures, in one unit; the likest pairs ar
 The best are followed: one part is bent onto the other, and where either lies on the other beyond no
 border is the next pair of regions.
 
-Not in the package, as it is wrong too often: right, within 8 hundredths, in one of three pairs of
+Not in the package, as it is wrong too often: right, within 8 hundredths, in two of four pairs of
 bodies 0-39 with which it was made, and in two of four of bodies 40-79, at 3.4 and 4.9; of the
 others one covers what is right at an error of 15, and has a confidence of 0.95. A disjoint pair had
 0.02. What is missing are likelier pairs of regions. 30 CPU seconds a pair.
