@@ -248,9 +248,9 @@ class Match(Rebuilt):
         of the landmarks. An only candidate, as of a collection or of an `initial` map, has as much
         as if a rival scored as well: it tells how well the map fits, not that no other would, so
         that of an `initial` map that is turned is near 1 on a round surface. Where a collection
-        leaves two surfaces `unconnected`, it is half as much. It does not see other symmetries: of
-        a surface that is one with itself turned or mirrored, a wrong map looks like a right one.
-        See `ambiguous`.
+        leaves two surfaces `unconnected`, it is half as much; where `rims` say that what one has
+        the other may lack, a third. It does not see other symmetries: of a surface that is one with
+        itself turned or mirrored, a wrong map looks like a right one. See `ambiguous`.
         """
         margin = self.margin if len(self.candidates) > 1 else None
         likely = calibration.confidence_of(
@@ -261,7 +261,7 @@ class Match(Rebuilt):
             against=len({"orientation", "genera"} & set(self.doubts)),
         )
         held = self.landmarks_held
-        likely /= (1 + self.alike) * (1 + self.unconnected)
+        likely /= (1 + self.alike) * (1 + self.unconnected) * (1 + 2 * ("rims" in self.doubts))
         return likely * (1.0 if held is None else float(held.mean()))
 
     @property

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from conftest import bumpy, creature, data_folder, refused
 from scipy.spatial import cKDTree
+from studies.matching.both_cut import both_cut, both_landmarks
 from studies.matching.parts import REFERENCE, cut_landmarks, left_of, overlap, part_of
 from studies.matching.subjects import subjects_in
 from test_match import moved, prepared
@@ -253,6 +254,24 @@ def test_cuts_are_seeded_and_carried_to_other_bodies() -> None:
             assert left[piece.vertices].all()
             np.testing.assert_array_equal(piece.mesh.points, subject.mesh.points[piece.vertices])
             assert low < piece.mesh.area / subject.mesh.area < high
+
+
+@pytest.mark.data
+def test_cuts_of_both_share_what_they_should() -> None:
+    """The same each time, others of other seeds."""
+    root = data_folder()
+    if root is None or not (root / "faust_r").is_dir():
+        pytest.skip("set SPECTRA_KIT_DATA to the folder of real shapes to run this")
+    reference = subjects_in(root / "faust_r")[REFERENCE]
+    cuts = both_cut([4, 5], 4, 2)
+    assert [cut.kind for cut in cuts] == ["planes", "balls", "planes", "balls", *2 * ["disjoint"]]
+    for cut in cuts:
+        one, other = both_landmarks(reference, cut)
+        np.testing.assert_array_equal((one, other), both_landmarks(reference, cut))
+        assert (one != both_landmarks(reference, cut._replace(seed=99))[0]).any()
+        assert 0.25 < min(one.mean(), other.mean()) < max(one.mean(), other.mean()) < 0.9
+        shared = (one & other).sum() / min(one.sum(), other.sum())
+        assert shared == 0 if cut.kind == "disjoint" else 0.1 < shared < 0.9
 
 
 # --- refusals -------------------------------------------------------------------------------
