@@ -152,7 +152,9 @@ def _times(typing: Any, factor: Any, x: Any) -> Any:
     return x(x.dtype, x), generate
 
 
-@compiled(_nrt=False)  # all arrays are the caller's, as each one made here takes long to compile
+@compiled(
+    _nrt=False, by="spectra_kit._sparse.beside"
+)  # all arrays are the caller's, as each one made here takes long to compile
 def solve_lanes(
     order: Ints,
     begins: Ints,
