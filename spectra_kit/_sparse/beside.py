@@ -14,7 +14,7 @@ from spectra_kit._sparse.products import spmm
 
 
 def main() -> None:
-    """Do it, in the order in which a spectrum needs the loops; it compiles those of solves itself."""
+    """Do it, in the order in which the loops are needed; solves are compiled where they are."""
     matrix = sparse.csr_array(np.ones((1, 1)))
     none, one = np.empty(0, np.int32), np.array([0, 1], np.int32)
     known = Elimination(
