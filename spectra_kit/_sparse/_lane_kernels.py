@@ -166,7 +166,8 @@ def _times(typing: Any, factor: Any, x: Any) -> Any:
     return x(x.dtype, x), generate
 
 
-@compiled(_nrt=False)  # all arrays are the caller's, as each one made here takes long to compile
+# All arrays are the caller's: each kind that is made here takes long to compile.
+@compiled(_nrt=False)
 def solve_lanes(
     order: Ints,
     begins: Ints,

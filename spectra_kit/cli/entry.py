@@ -12,6 +12,7 @@ from operator import attrgetter
 from typing import Any, TextIO
 
 import spectra_kit as sk
+from spectra_kit._core.compiling import helped
 from spectra_kit._core.files import naming
 from spectra_kit._core.shown import printable
 from spectra_kit._core.version import VERSION
@@ -66,7 +67,7 @@ def main(argv: Sequence[str] | None = None, *, ready: Callable[[], object] = lam
             for name in asked.needs:
                 attrgetter(name)(sk)
             ready()
-            with telling(quiet=asked.quiet):
+            with telling(quiet=asked.quiet), helped():
                 refuse_unused(asked)
                 command(asked)
         with naming(STDOUT):

@@ -179,8 +179,9 @@ def test_product_refuses_what_does_not_fit() -> None:
 
 
 def test_no_bit_of_large_fronts_depends_on_threads_of_blas() -> None:
-    # On a grid of points in space fronts have hundreds of rows, which BLAS multiplies.
-    n, square = 18, grid(18)
+    # On a grid of points in space fronts have hundreds of rows, which BLAS multiplies: on this one
+    # also a single row, the last of a front.
+    n, square = 21, grid(21)
     across = sparse.kron(sparse.eye_array(n), square)
     path = sparse.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(n, n))
     along = sparse.kron(path, sparse.eye_array(n * n))
