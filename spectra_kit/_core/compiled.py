@@ -30,13 +30,11 @@ from spectra_kit._core.files import atomic_path
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def compiled(*, calls: str = "", by: str = "", **options: Any) -> Callable[[F], F]:
+def compiled(**options: Any) -> Callable[[F], F]:
     """Return a decorator that has numba compile a function when it is first called.
 
     With the `options` of `numba.njit`; the interpreter lock is released inside. The function must
     not use compiled functions of other files: what is kept is found again by the text of its own.
-    While it is compiled, a process beside may run the module that it `calls`, which compiles others
-    that are needed next: they say that it is done `by` that module.
     """
 
     def decorate(function: F) -> F:
@@ -47,7 +45,7 @@ def compiled(*, calls: str = "", by: str = "", **options: Any) -> Callable[[F], 
             )
         dispatcher: Any = numba.njit(nogil=True, **options)(function)
         with suppress(OSError):  # no text, as in a notebook: nothing to find it by
-            dispatcher._cache = _Kept(function, calls, by)
+            dispatcher._cache = _Kept(function)
         return dispatcher  # type: ignore[no-any-return]
 
     return decorate
@@ -73,8 +71,7 @@ class _Kept(_Cache):
     cannot be read, written or found costs compiling again, never a result.
     """
 
-    def __init__(self, function: Callable[..., Any], calls: str, by: str) -> None:
-        self._calls, self._by = calls, by
+    def __init__(self, function: Callable[..., Any]) -> None:
         text = Path(function.__code__.co_filename).read_bytes()
         self._name = f"{function.__module__}.{function.__qualname__}"
         self._origin = (hashlib.sha256(text).hexdigest(), sys.version, numba.__version__)
@@ -87,10 +84,6 @@ class _Kept(_Cache):
         """Return what was kept for a signature, or None."""
         path = self._path(sig, target_context.codegen())
         if path is None:
-            return None
-        if not path.exists() and not (self._by and compiling.helped_to(path, self._by)):
-            if self._calls:
-                compiling.help_with(self._calls, path.parent)
             return None
         try:
             content = path.read_bytes()

@@ -32,7 +32,7 @@ def _take(v: int, head: Ints, after: Ints, before: Ints) -> None:
         before[after[v]] = before[v]
 
 
-@compiled(_nrt=False, calls="spectra_kit._sparse.beside")
+@compiled(_nrt=False)
 def eliminate(
     starts: Ints, columns: Ints, order: Ints, lists: Ints, longs: Longs, ints: Ints, state: Longs
 ) -> int:

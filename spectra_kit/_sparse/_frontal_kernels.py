@@ -69,7 +69,7 @@ def _product(
 _multiply: Any = intrinsic(_product)  # numba's annotation of it is that of its definition
 
 
-@compiled(_nrt=False, error_model="numpy", by="spectra_kit._sparse.beside")
+@compiled(_nrt=False, error_model="numpy")
 def factorise(
     starts: Ints,
     columns: Ints,

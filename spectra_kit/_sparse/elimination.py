@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from spectra_kit._core.threads import thread_count
 from spectra_kit._sparse._checks import check_matrix, check_symmetric
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 
@@ -96,7 +97,8 @@ class Elimination:
     def gigabytes(self) -> float:
         """What a factor takes in GiB, and all that is held while it is made."""
         shared = sum(int(getattr(self, part.name).nbytes) for part in fields(self))
-        beside, last = int(self.sizes[:-1].sum()), int(self.sizes[-1].sum())
+        each, last = np.sort(self.sizes[:-1].sum(axis=1)), int(self.sizes[-1].sum())
+        beside = int(each[-thread_count() :].sum())
         numbers = self.fill + 2 * len(self.order) + max(beside, last) + int(self.updates[-1])
         return (8 * numbers + shared) / 2**30
 

@@ -12,7 +12,6 @@ from operator import attrgetter
 from typing import Any, TextIO
 
 import spectra_kit as sk
-from spectra_kit._core.compiling import helped
 from spectra_kit._core.files import naming
 from spectra_kit._core.shown import printable
 from spectra_kit._core.version import VERSION
@@ -67,7 +66,7 @@ def main(argv: Sequence[str] | None = None, *, ready: Callable[[], object] = lam
             for name in asked.needs:
                 attrgetter(name)(sk)
             ready()
-            with telling(quiet=asked.quiet), helped():
+            with telling(quiet=asked.quiet):
                 refuse_unused(asked)
                 command(asked)
         with naming(STDOUT):

@@ -41,7 +41,7 @@ def side_lengths(points: Floats, triangles: Ints32, mollify: float) -> Floats:
     return sides
 
 
-@compiled(calls="spectra_kit._sparse.beside")  # distances wait for a factor
+@compiled()
 def _measure_sides(
     points: Floats, triangles: Ints32, mollify: float, sides: Floats, offsets: Floats
 ) -> bool:

@@ -127,22 +127,6 @@ def test_compiling_is_told_of_and_not_looked_through_for_garbage(loops) -> None:
     assert len(told) == 4  # nobody asks any more
 
 
-@pytest.mark.slow
-def test_a_process_beside_compiles_what_a_command_needs_next(tmp_path) -> None:
-    """With the kinds of arguments that are asked for; without one, it is compiled as ever."""
-    code = (
-        "from spectra_kit.cli import main\n"
-        "main(['spectrum', 'demo', '--points', '600', '-k', '4', '--quiet'])\n"
-        "from spectra_kit._sparse._frontal_kernels import factorise\n"
-        "print(len(factorise.stats.cache_hits), len(factorise.stats.cache_misses))\n"
-    )
-    for threads, told in ("2", "1 0"), ("1", "0 1"):
-        kept_in = {"NUMBA_CACHE_DIR": str(tmp_path / threads), "NUMBA_NUM_THREADS": threads}
-        command = [sys.executable, "-c", code]
-        done = subprocess.check_output(command, env={**os.environ, **kept_in}, text=True, cwd=ROOT)
-        assert done.splitlines()[-1] == told
-
-
 def test_what_is_found_needs_nothing_that_compiles(loops) -> None:
     code = (
         "import sys; from loops import raised as f; f(1); print('numba.np.arrayobj' in sys.modules)"
