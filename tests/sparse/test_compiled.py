@@ -127,6 +127,23 @@ def test_compiling_is_told_of_and_not_looked_through_for_garbage(loops) -> None:
     assert len(told) == 4  # nobody asks any more
 
 
+@pytest.mark.slow
+def test_what_a_process_beside_compiles_is_what_a_factor_asks_for(tmp_path) -> None:
+    code = (
+        "from spectra_kit.geometry import sphere; import spectra_kit as sk\n"
+        "sk.eigensolve(sk.robust_laplacian(sphere(subdivisions=4).geometry), 60)\n"
+        "from spectra_kit._sparse._frontal_kernels import factorise, factor_columns\n"
+        "from spectra_kit._sparse._lane_kernels import solve_lanes\n"
+        "for loop in (factorise, factor_columns, solve_lanes):\n"
+        "    print(len(loop.stats.cache_hits), len(loop.stats.cache_misses))\n"
+    )
+    kept_in = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    for command in (["-m", "spectra_kit._sparse.first_call"], ["-c", code]):
+        told = subprocess.check_output([sys.executable, *command], env=kept_in, text=True, cwd=ROOT)
+    assert told.splitlines() == ["1 0"] * 3
+    assert list((tmp_path / "spectra_kit").glob("first_call-*"))
+
+
 def test_what_is_found_needs_nothing_that_compiles(loops) -> None:
     code = (
         "import sys; from loops import raised as f; f(1); print('numba.np.arrayobj' in sys.modules)"
