@@ -22,6 +22,7 @@ _HUB, _FEWEST = 10.0, 16
 # of one then, four 2.3 to 2.8, eight 3.0 to 3.4, counted on four models; with twice as much two
 # have 1.7 to 1.76, eight 2.7 to 3.0. None where all of it takes a fraction of a millisecond.
 _SHARE, _WORTH = 1 / 8, 1 << 17
+_STRIPE = 128  # rows and columns of a large front that are multiplied at once
 
 
 def minimum_degree(matrix: sparse.csr_array) -> NDArray[np.int32]:
@@ -97,9 +98,10 @@ class Elimination:
     def gigabytes(self) -> float:
         """What a factor takes in GiB, and all that is held while it is made."""
         shared = sum(int(getattr(self, part.name).nbytes) for part in fields(self))
-        each, last = np.sort(self.sizes[:-1].sum(axis=1)), int(self.sizes[-1].sum())
-        beside = int(each[-thread_count() :].sum())
-        numbers = self.fill + 2 * len(self.order) + max(beside, last) + int(self.updates[-1])
+        n, own = len(self.order), self.sizes.sum(axis=1)
+        own += n + ((4 + 3 * _STRIPE) * np.sqrt(self.sizes[:, 0])).astype(np.int64)
+        beside = int(np.sort(own[:-1])[-thread_count() :].sum())
+        numbers = self.fill + 4 * n + max(beside, int(own[-1])) + int(self.updates[-1])
         return (8 * numbers + shared) / 2**30
 
     @property
@@ -142,15 +144,18 @@ class Elimination:
         ends = np.concatenate([[0], self.subtrees.ravel(), [len(self.begins) - 1]])
         return ends.reshape(-1, 2).astype(np.int64)
 
-    def side_by_side(self, count: int) -> list[NDArray[np.int64]]:
-        """Deal the subtrees out to so many threads, which then have about the same to do."""
+    def side_by_side(self, count: int) -> list[NDArray[np.intp]]:
+        """Deal the subtrees out to so many threads, which then have about the same to do.
+
+        Returns which each has; none where there is none.
+        """
         hands: list[list[int]] = [[] for _ in range(count)]
         held = [0] * count
         for i in np.argsort(-self.work, kind="stable").tolist():
             least = held.index(min(held))
             hands[least].append(i)
             held[least] += int(self.work[i])
-        return [self.subtrees[sorted(hand)] for hand in hands if hand]
+        return [np.array(sorted(hand)) for hand in hands if hand]
 
     def serves(self, matrix: sparse.csr_array) -> bool:
         """Return whether `matrix` has the pattern that this was made for."""

@@ -10,7 +10,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 
 import numpy as np
 from scipy import sparse
@@ -22,11 +21,13 @@ from spectra_kit._core.version import VERSION
 @contextmanager
 def compiled_beside() -> Iterator[None]:
     """Have a process compile while the block runs, once for a version and folder of loops."""
-    done, process = _done(), None
-    if done is not None and not done.exists() and thread_count() > 1 and sys.executable:
-        command, nothing = [sys.executable, "-m", __name__], subprocess.DEVNULL
+    process = None
+    if thread_count() > 1 and sys.executable and not getattr(sys, "frozen", False):
+        # Without the folder that the user is in, whose modules are not to be imported.
+        command, nothing = [sys.executable, "-P", "-m", __name__], subprocess.DEVNULL
         with suppress(OSError):  # it only saves time
-            process = subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing)
+            if _is_first():
+                process = subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing)
     try:
         yield
     finally:
@@ -35,12 +36,19 @@ def compiled_beside() -> Iterator[None]:
             process.wait()
 
 
-def _done() -> Path | None:
-    """Return the file that says so."""
+def _is_first() -> bool:
+    """Whether nobody has asked here before; fails where nothing can be kept."""
     from spectra_kit._core.compiled import cache_folder
 
     folder = cache_folder()
-    return folder and folder / f"first_call-{VERSION}-{sys.implementation.cache_tag}"
+    if folder is None:
+        return False
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        (folder / f"first_call-{VERSION}-{sys.implementation.cache_tag}").touch(exist_ok=False)
+    except FileExistsError:
+        return False
+    return True
 
 
 def main() -> None:
@@ -68,9 +76,6 @@ def main() -> None:
     factor = SparseLDL(matrix, elimination=known)
     spmm(matrix, factor.solve(np.ones((1, 2))))
     _ = factor.lower
-    if (done := _done()) is not None:
-        with suppress(OSError):
-            done.touch()
 
 
 if __name__ == "__main__":

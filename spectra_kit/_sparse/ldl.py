@@ -106,15 +106,15 @@ class SparseLDL:
                 np.empty(spots[-1]),
                 spots,
             )
-            heaviest = np.argsort(-known.work, kind="stable").tolist()
 
-            def some(subtree: int) -> int:
-                return factorise(*fixed, subtree, *_scratch(known, subtree))
+            def some(*which: int) -> int:
+                return max(factorise(*fixed, i, *_scratch(known, i)) for i in which)
 
             with single_threaded_blas():  # so that no bit depends on its threads
-                bad = max(in_threads(some, ((i,) for i in heaviest)), default=-1)
+                hands = map(tuple, known.side_by_side(thread_count()))
+                bad = max(in_threads(some, hands), default=-1)
                 if bad < 0:
-                    bad = some(len(heaviest))
+                    bad = some(len(known.subtrees))
         except MemoryError as error:
             raise no_memory(self.n) from error
         if bad >= 0:
@@ -212,7 +212,8 @@ class SparseLDL:
         fixed = (*known.runs, lower, inverse, *block)
         cuts = shares(columns, -(-columns // LANES)) if columns else []
         beside = thread_count() if columns * self.fill >= WORTH_SHARING else 1
-        hands = known.side_by_side(beside if len(cuts) < beside else 1)
+        dealt = known.side_by_side(beside if len(cuts) < beside else 1)
+        hands = [known.subtrees[which] for which in dealt]
 
         lanes = () if columns == 1 else (LANES,)  # one as ARPACK asks, thousands of times
 

@@ -31,8 +31,8 @@ def factor_gigabytes(n: int, dimension: int = 2) -> float:
 
     Up to ``4 n log2 n`` entries of 8 bytes, as on meshes of even triangles (1.1 to 3.7 on 15 real
     ones), and half as much again while it is made. In a volume up to ``3 n^(3/2)`` (2.3 to 2.7 in
-    balls of 5,000 to 50,000 points and a Delaunay mesh), and 0.8 of that again (0.7 in balls of
-    2,000 to 24,000 points). `Elimination.gigabytes` counts.
+    balls of 5,000 to 50,000 points and a Delaunay mesh), and 1.4 of that again (1.2 to 1.9 of what
+    there is in balls of 24,000 to 2,000 points, with two threads). `Elimination.gigabytes` counts.
     """
-    surface, volume = 1.5 * 4 * n * float(np.log2(max(n, 2))), 1.8 * 3 * n**1.5
+    surface, volume = 1.5 * 4 * n * float(np.log2(max(n, 2))), 2.4 * 3 * n**1.5
     return 8 * (surface if dimension == 2 else volume) / 2**30

@@ -28,9 +28,9 @@ from spectra_kit.operators.laplacian import Laplacian
 
 _FEW = 15_000  # points up to which nothing costs less than Lanczos on a factor
 _FEW_FOR_EACH = 160  # the same for each mode: coarse levels have to have room for them
-# Times as many points, if it need not be exact: on six shapes of 80,000 to 430,000 points, 96 modes,
-# smoothing took 1.1 times as long for errors of 1e-2 and 1.2 times for 1e-3 (0.76 to 2.0), which
-# are larger; it takes half the memory.
+# Times as many points, if it need not be exact: on six shapes of 80,000 to 430,000 points, for 96
+# modes and two threads, smoothing took 1.1 times as long for errors of 1e-2 and 1.2 times for 1e-3
+# (0.76 to 2.0), which are larger; it takes half the memory.
 _LOOSELY = 16
 _RESIDUAL = 1e-2  # of shift-inverted operators: errors of eigenvalues are about its square
 _TIGHT = 1e-4  # an accuracy below which smoothing costs more than to be exact

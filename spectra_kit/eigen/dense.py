@@ -20,7 +20,7 @@ from spectra_kit.eigen.base import Eigenpairs, NotConvergedError, Promise
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.operators.laplacian import Laplacian
 
-#: Times as large as the lowest eigenvalues the largest are, whose rounding leaves these ten digits.
+#: Times the spacing of eigenvalues up to which rounding of the largest leaves ten digits of that.
 SPREAD = 1e6
 _ORTHONORMAL = 1e-10  # LAPACK's is far better where it is right
 # Times as many points as modes from which on LAPACK finds these in less time than all of them.

@@ -15,6 +15,7 @@ from scipy import sparse
 
 from spectra_kit._core.compiled import compiled
 from spectra_kit._core.compiling import heard_by
+from spectra_kit._sparse import first_call
 
 ROOT = Path(__file__).parents[2]
 LOOPS = """
@@ -141,7 +142,28 @@ def test_what_a_process_beside_compiles_is_what_a_factor_asks_for(tmp_path) -> N
     for command in (["-m", "spectra_kit._sparse.first_call"], ["-c", code]):
         told = subprocess.check_output([sys.executable, *command], env=kept_in, text=True, cwd=ROOT)
     assert told.splitlines() == ["1 0"] * 3
-    assert list((tmp_path / "spectra_kit").glob("first_call-*"))
+
+
+def test_it_runs_once_and_nothing_of_the_folder_that_the_user_is_in(tmp_path, monkeypatch) -> None:
+    started = []
+
+    class Process:
+        def __init__(self, command, **_):
+            started.append(command)
+
+        def terminate(self): ...
+
+        def wait(self): ...
+
+    monkeypatch.setattr(first_call.subprocess, "Popen", Process)
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
+    (tmp_path / "file").touch()
+    for folder in ("cache", "cache", "file"):
+        monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / folder))
+        with first_call.compiled_beside():
+            pass
+    assert len(started) == 1
+    assert "-P" in started[0]
 
 
 def test_what_is_found_needs_nothing_that_compiles(loops) -> None:

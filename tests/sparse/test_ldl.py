@@ -86,7 +86,8 @@ def test_subtrees_are_all_there_and_do_not_meet() -> None:
             assert (above[begin : end - 1] < end).all()
             assert not np.isin(above[:begin], np.arange(begin, end)).any()
         for threads in (1, 2, 5):
-            hands = np.concatenate([*elimination.side_by_side(threads), elimination.rest])
+            hands = [subtrees[hand] for hand in elimination.side_by_side(threads)]
+            hands = np.concatenate([*hands, elimination.rest])
             hands = hands[np.lexsort(hands.T[::-1])]
             assert (hands[1:, 0] == hands[:-1, 1]).all()  # each run once
 

@@ -146,7 +146,8 @@ def _in_pairs(root: Path) -> dict[str, Subject]:
         part = largest_component(cast("TriangleMesh", repaired.geometry))
         kept = np.full(repaired.geometry.n + 1, LACKING)  # the last is of what was removed
         kept[part.vertex_index] = np.arange(part.mesh.n)
-        made[name] = part.mesh, kept[repaired.new_index], file["evaluated"].astype(np.int64)
+        new = np.append(kept[repaired.new_index], LACKING)  # that is -1, the last
+        made[name] = part.mesh, new, file["evaluated"].astype(np.int64)
     subjects = {}
     for name, (mesh, new, evaluated) in made.items():
         mine = evaluated[new[evaluated] != LACKING]
