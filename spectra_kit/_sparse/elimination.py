@@ -22,7 +22,6 @@ _HUB, _FEWEST = 10.0, 16
 # of one then, four 2.3 to 2.8, eight 3.0 to 3.4, counted on four models; with twice as much two
 # have 1.7 to 1.76, eight 2.7 to 3.0. None where all of it takes a fraction of a millisecond.
 _SHARE, _WORTH = 1 / 8, 1 << 17
-_STRIPE = 128  # rows and columns of a large front that are multiplied at once
 
 
 def minimum_degree(matrix: sparse.csr_array) -> NDArray[np.int32]:
@@ -98,8 +97,10 @@ class Elimination:
     def gigabytes(self) -> float:
         """What a factor takes in GiB, and all that is held while it is made."""
         shared = sum(int(getattr(self, part.name).nbytes) for part in fields(self))
+        from spectra_kit._sparse._frontal_kernels import WIDE
+
         n, own = len(self.order), self.sizes.sum(axis=1)
-        own += n + ((4 + 3 * _STRIPE) * np.sqrt(self.sizes[:, 0])).astype(np.int64)
+        own += n + ((4 + 3 * WIDE) * np.sqrt(self.sizes[:, 0])).astype(np.int64)
         beside = int(np.sort(own[:-1])[-thread_count() :].sum())
         numbers = self.fill + 4 * n + max(beside, int(own[-1])) + int(self.updates[-1])
         return (8 * numbers + shared) / 2**30

@@ -91,6 +91,7 @@ class StoreOptions(options.Command):
     keys = "store, entries, bytes, shapes, damaged, removed"
     operands = "ACTION STORE [options]"
     needs = ("datasets.SpectrumStore",)
+    solves = False
 
     action: Literal["list", "verify", "clean"] = field(kw_only=False)
     """list names; verify that every file is whole; clean away what is of other releases"""

@@ -68,10 +68,9 @@ def main(argv: Sequence[str] | None = None, *, ready: Callable[[], object] = lam
             for name in asked.needs:
                 attrgetter(name)(sk)
             ready()
-            solves = asked.needs and asked.name != "info"
             with telling(quiet=asked.quiet):
                 refuse_unused(asked)
-                with _two_compilers() if is_program and solves else nullcontext():
+                with _two_compilers() if is_program and asked.solves else nullcontext():
                     command(asked)
         with naming(STDOUT):
             sys.stdout.write(text)

@@ -20,6 +20,7 @@ class InfoOptions(options.OnOne):
 
     examples = ("info bunny.obj", "info scan.ply --repair", "info bunny.obj --json")
     keys = "input, kind, diagnosis, problems, operator"
+    solves = False
 
     operator: options.OperatorName | None = "delaunay"
     """Laplacian; delaunay is robust on meshes, too, with less memory"""

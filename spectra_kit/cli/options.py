@@ -72,6 +72,7 @@ class Command:
     keys: ClassVar[str]  # of the object that --json prints
     operands: ClassVar[str] = "FILE [options]"
     needs: ClassVar[tuple[str, ...]] = ("eigen",)  # of the library, imported before it begins
+    solves: ClassVar[bool] = True  # with a factor, whose loops the first call compiles
     group: ClassVar[str] = "general"  # of the options that a class adds, in the help
 
     json: Annotated[bool, Parameter(group=_GROUPS["general"])] = False

@@ -58,6 +58,7 @@ class CompletionOptions(Command):
     keys = "shell, script"
     operands = "SHELL"
     needs = ()
+    solves = False
 
     shell: Literal["bash", "zsh", "fish"] = field(kw_only=False)
     """which one runs it"""

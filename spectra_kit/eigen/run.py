@@ -268,8 +268,7 @@ class _Run:
                 # At the cost of some modes these have all: nobody asks for more of them.
                 solved = self.together(due, most, solver)
                 alone -= solved
-                for i in solved:
-                    wanted[i] = most[i]
+                wanted = [most[i] if i in solved else own for i, own in enumerate(wanted)]
             for i in sorted(alone):
                 part = laplacian if whole else laplacian.restricted(parts[i])
                 own = solver if whole else restricted(solver, parts[i])
