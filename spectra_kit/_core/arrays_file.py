@@ -22,11 +22,20 @@ _LOCAL_HEADER = 30  # bytes of a zip local file header before the name
 _ZIP64_EXTRA = 20  # bytes that zipfile adds to the local header under force_zip64
 
 
-def write_arrays(path: Path, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays and a header to `path`, whole or not at all; same content, same bytes."""
+def write_arrays(
+    path: Path,
+    header: Mapping[str, Any],
+    arrays: Mapping[str, NDArray[Any]],
+    *,
+    flush: bool = True,
+) -> None:
+    """Write arrays and a header to `path`, whole or not at all; same content, same bytes.
+
+    `flush` is that of `atomic_path`.
+    """
     if path.suffix.lower() != ".npz":
         raise InvalidInputError("path", "end in .npz", repr(path.name))
-    with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+    with atomic_path(path, flush=flush) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         _write_member(archive, _HEADER, np.array(json.dumps(header)))
         for name, array in arrays.items():
             _write_member(archive, name, np.ascontiguousarray(array))

@@ -33,13 +33,14 @@ _cleanups: list[tuple[int, Callable[[], object]]] = []  # with the process that 
 
 
 @contextmanager
-def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_path(path: str | os.PathLike[str], *, flush: bool = True) -> Iterator[Path]:
     """Yield a temporary path that takes the place of `path` once it is completely written.
 
     When the block ends well the file, in the same folder and with the same suffix, is flushed to
     the disk and renamed over `path` in one step, with the rights of the file that was there; when
     it raises, or the process is told to end, it is removed and `path` keeps its old content. A
-    symbolic link is followed. A pipe or a device is not replaced but written to at the end.
+    symbolic link is followed. A pipe or a device is not replaced but written to at the end. Without
+    `flush` a loss of power may leave a file that is not whole: for what is checked and made again.
     """
     target = check_target(path)
     through = is_special(path)
@@ -54,8 +55,9 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
             with part.open("rb") as source, open(path, "wb") as sink:
                 shutil.copyfileobj(source, sink)
             return
-        with part.open("rb+") as file:
-            os.fsync(file.fileno())
+        if flush:
+            with part.open("rb+") as file:
+                os.fsync(file.fileno())
         replace(part, target)
 
 

@@ -17,10 +17,10 @@ _CACHED = 4_096  # the same, of which three blocks stay in the cache
 _ROUNDED = 1e-15  # what is left of other vectors in one that was orthogonalised against them
 _CLEAN = 1e-14  # the same, at most, where nothing is to be gained
 _NOTHING = 1e-10  # of the norm of the operator: a new block is no larger
-_SEMI = 1e-12  # the same, at most: residuals of Ritz pairs are no smaller than that
+_SEMI = 1e-10  # the same, at most
 # Where these may be larger: the projection is still rounded as if the vectors were orthogonal
 # (Simon, *The Lanczos algorithm with partial reorthogonalization*, 1984).
-_SEMI_LOOSE = 1e-8
+_SEMI_LOOSE = 1e-6
 # Of the operator, by which the start is multiplied: four products save as many steps, whose vectors
 # would have to be held, and others to be orthogonalised against them. More save less.
 _POWERS = 4

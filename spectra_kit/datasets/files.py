@@ -263,9 +263,13 @@ def warn_of_omission(error: InvalidFileError) -> None:
 
 
 def write(path: Path, facts: Mapping[str, object], **arrays: NDArray[Any]) -> None:
-    """Write arrays, and the facts that they follow from."""
+    """Write arrays, and the facts that they follow from.
+
+    Entries are not flushed to the disk, which takes longer than to solve for a small shape: all of
+    them have checksums.
+    """
     header = {"format": "spectra_kit arrays", "facts": facts, "arrays": [*arrays]}
-    write_arrays(path, header, arrays)
+    write_arrays(path, header, arrays, flush=False)
 
 
 def read(
@@ -292,7 +296,7 @@ def _check_name(path: Path, facts: Mapping[str, object]) -> None:
 
 def write_record(path: Path, record: ShapeRecord) -> None:
     """Write what is known of a name, with a checksum: the first of its fields."""
-    with atomic_path(path) as part:
+    with atomic_path(path, flush=False) as part:
         part.write_bytes(sealed(json.dumps({"sha256": BLANK, **vars(record)}).encode() + b"\n"))
 
 
