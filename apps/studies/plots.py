@@ -1,8 +1,8 @@
-"""Plots that only studies draw: time against error, and the front that nothing beats."""
+"""Plots that only studies draw: time against error, who is how many times sooner."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 #: Errors below are rounding: as good as each other.
 ROUNDING = 1e-12
 _WIDTH, _HEIGHT = 8.4, 5.2  # inches
+_LINE = 0.26  # inches of a line of ratios
 _MARKERS = "osD^vP*Xp"
 _INK: dict[str, Any] = {"fontsize": 8, "color": "0.2", "parse_math": False}
 _LINED = 14.0  # names further than this from their dot, in points, are tied to it by a line
@@ -122,6 +123,30 @@ def plot_pareto(
     )
     figure.draw_without_rendering()  # now the axes are where they will be
     _write_names(panel, points, lines)
+    return figure
+
+
+@plotted
+def plot_ratios(
+    ratios: Mapping[str, tuple[float, float]],
+    *,
+    path: PathLike | None = None,
+    page: Page = Page(),
+) -> Figure:
+    """Draw the mean and the worst of ratios, a line for each name, from above; and where 1 is."""
+    figure = new_diagram(page, _WIDTH, 0.9 + _LINE * len(ratios))
+    panel = figure.add_subplot(xlabel="times; above 1, ours is sooner")
+    heights = -np.arange(len(ratios))
+    means, worst = np.array([*ratios.values()]).T
+    colour = line_style(0)[0]
+    panel.hlines(heights, worst, means, color=colour, alpha=0.6, lw=1.8)
+    panel.plot(worst, heights, ls="", marker="|", ms=9, color=colour, label="worst")
+    panel.plot(means, heights, ls="", marker="o", ms=6, color=colour, label="mean")
+    panel.axvline(1.0, color="0.4", lw=1.0, zorder=1)
+    panel.set(xscale="log", ylim=(heights[-1] - 0.7, 0.7))
+    panel.set_yticks(heights, labels=[*ratios], parse_math=False)
+    tidy(panel)
+    log_ticks(panel.xaxis, plain=True)
     return figure
 
 

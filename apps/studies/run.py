@@ -40,6 +40,7 @@ STUDIES = {
     "device": "device",
     "explorer": "explorer",
     "walking": "walking",
+    "yardstick": "yardstick",
 }
 
 

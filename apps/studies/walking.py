@@ -2,14 +2,16 @@
 
     python apps/studies/run.py walking OUT             # ten minutes; needs SPECTRA_KIT_DATA
     python apps/studies/run.py walking OUT --models bunny spot --dirty 40
+    python apps/studies/run.py walking OUT --models animal --dirty 0      # made, without data
 
-Models are those of `ood_public`. Of paths: the search from one vertex, one path after it; how far
-lengths are from libigl's exact distances, in the worst case, and from those of pygeodesic, where it
-is installed, with the seconds of their searches for these ten; and how much longer than the
-shortest those are that potpourri3d's edge flips find. Of vectors: set-up with the first transport,
-and the next, of both; and the angle between both. Of curvature: seconds, and the rank correlation
-of mean curvatures with those of libigl, which fits quadrics to five rings, and of LaPy, which takes
-angles between faces. Seconds are by the clock, of the quicker of two turns.
+Models are those of `ood_public`, or made ones of studies/recipes.py. Of paths: the search from one
+vertex, one path after it; how far lengths are from libigl's exact distances, in the worst case, and
+from those of pygeodesic, where it is installed, with the seconds of their searches for these ten;
+and how much longer than the shortest those are that potpourri3d's edge flips find. Of vectors: set-
+up with the first transport, and the next, of both; and the angle between both. Of curvature:
+seconds, and the rank correlation of mean curvatures with those of libigl, which fits quadrics to
+five rings, and of LaPy, which takes angles between faces. Seconds are by the clock, of the quicker
+of two turns.
 
 Dirty meshes are of the training pool, with a boundary, edges of more than two faces, or several
 parts. A path is right where it is as long as the exact distance; potpourri3d's, which are shortest
@@ -39,8 +41,9 @@ from spectra_kit.geodesics import GeodesicPaths, VectorHeat, exact_distances
 from spectra_kit.neo.train.pool import open_pool
 from spectra_kit.operators import curvature
 from studies.machine import describe_machine
+from studies.recipes import MADE
 from studies.report import Table, write_report
-from studies.shapes import given_folder
+from studies.shapes import as_mesh, given_folder
 from studies.store import Record
 
 _MODELS = ["amo", "armadillo", "boot", "bunny", "chinese_lion", "cow", "hammer", "hippo", "horse"]
@@ -70,12 +73,10 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def measure(args: argparse.Namespace) -> None:
-    folder = given_folder(None, "ood_public")
     warnings.simplefilter("ignore")
     paths, vectors, bent = list[Record](), list[Record](), list[Record]()
     for name in args.models:
-        mesh = read(folder / f"{name}.npz", kind="mesh")
-        assert isinstance(mesh, TriangleMesh)
+        mesh = _model(name)
         about: Record = {"model": name, "points": mesh.n}
         paths.append(about | _of_paths(mesh, args.targets))
         vectors.append(about | _of_vectors(mesh))
@@ -85,9 +86,15 @@ def measure(args: argparse.Namespace) -> None:
         Table("Paths", paths, _PATHS),
         Table("Vectors", vectors, _VECTORS),
         Table("Curvature", bent, _CURVATURE),
-        Table(f"{args.dirty} dirty meshes", _of_dirt(args.dirty), _DIRTY),
+        Table(f"{args.dirty} dirty meshes", _of_dirt(args.dirty) if args.dirty else [], _DIRTY),
     ]
     write_report(args.out, "walking", [], tables, machine)
+
+
+def _model(name: str) -> TriangleMesh:
+    if name in MADE:
+        return as_mesh(MADE[name].make())
+    return as_mesh(read(given_folder(None, "ood_public") / f"{name}.npz", kind="mesh"))
 
 
 def _of_paths(mesh: TriangleMesh, count: int) -> Record:

@@ -104,8 +104,8 @@ def residual_norms(
     vectors: Floats,
     *,
     left_out: NDArray[np.int64] | None = None,
-) -> Floats:
-    """Return the norms that `residuals` does, without the rows `left_out` and without R.
+) -> tuple[Floats, Floats]:
+    """Return the norms that `residuals` does, without the rows `left_out`, and not R but ``u^T r``.
 
     By SciPy and NumPy alone: every spectrum is certified, also where nothing can be compiled.
     """
@@ -116,14 +116,15 @@ def residual_norms(
     if left_out is not None:
         weights[left_out] = 0.0
     blocks = ranges(len(U), _CACHED)
-    squares = np.empty((len(blocks), U.shape[1]))
+    squares, along = np.empty((2, len(blocks), U.shape[1]))
 
     def measure(i: int, start: int, stop: int) -> None:
         rows = slice(start, stop)
         r = stiffness[rows] @ U
         r -= mass[rows, None] * U[rows] * values
+        along[i] = np.einsum("ij,ij->j", U[rows], r)
         r *= weights[rows, None]
         squares[i] = np.einsum("ij,ij->j", r, r)
 
     in_threads(measure, ((i, *ends) for i, ends in enumerate(blocks)))
-    return np.asarray(unit * np.sqrt(squares.sum(axis=0)))
+    return np.asarray(unit * np.sqrt(squares.sum(axis=0))), np.asarray(along.sum(axis=0))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from scipy import sparse
@@ -12,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import quantity
 from spectra_kit._core.warn import warn
-from spectra_kit._sparse.host import dots, inner
+from spectra_kit._sparse.host import inner
 from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit._sparse.pencil import Pencil
 from spectra_kit._sparse.products import spmm
@@ -187,23 +186,22 @@ def _inexactness(
     first: Ints, last: Ints, spectrum: Spectrum, laplacian: Laplacian
 ) -> tuple[Floats, Floats]:
     """Return ``|U^T L U - diag(theta)|`` and ``|U^T M U - I|`` of each cluster."""
-    skew, apart = np.empty(len(first)), np.empty(len(first))
-    starts = np.append(np.flatnonzero(np.diff(first // _COLUMNS, prepend=-1)), len(first))
-    for begin, end in pairwise(starts.tolist()):  # clusters that are looked at together
-        columns = slice(first[begin], last[end - 1])
-        U = np.ascontiguousarray(spectrum.eigenvectors[:, columns])
-        images, unlike = spmm(laplacian.stiffness, U), spectrum._products[columns, columns]
-        if U.shape[1] == end - begin:  # each alone, as a rule
-            skew[begin:end] = np.abs(dots(U, images) - spectrum.eigenvalues[columns])
-            apart[begin:end] = np.abs(unlike.diagonal() - 1)
-            continue
-        off = inner(U, images) - np.diag(spectrum.eigenvalues[columns])
-        unlike = unlike - np.eye(U.shape[1])
-        inside = np.repeat(np.arange(begin, end), last[begin:end] - first[begin:end])
-        within = inside[:, None] == inside
+    values, products = spectrum.eigenvalues, spectrum._products
+    # Each mode by itself, as most are: what clusters have is written over it.
+    longer = products.diagonal()[first] - 1
+    apart = np.abs(longer)
+    skew = np.abs(values[first] * longer + spectrum._rest_along(laplacian)[first])
+    cluster, many = np.repeat(np.arange(len(first)), last - first), np.flatnonzero(last - first > 1)
+    cuts = np.flatnonzero(np.diff(first[many] // _COLUMNS)) + 1
+    for some in np.split(many, cuts) if len(many) else ():  # clusters that are looked at together
+        columns = np.flatnonzero(np.isin(cluster, some))
+        inside, U = cluster[columns], np.ascontiguousarray(spectrum.eigenvectors[:, columns])
+        off = inner(U, spmm(laplacian.stiffness, U)) - np.diag(values[columns])
+        unlike = products[np.ix_(columns, columns)] - np.eye(len(columns))
+        within, starts = inside[:, None] == inside, np.searchsorted(inside, some)
         for error, sums in ((off, skew), (unlike, apart)):
             rows = np.where(within, error**2, 0.0).sum(axis=1)
-            sums[begin:end] = np.sqrt(np.add.reduceat(rows, first[begin:end] - first[begin]))
+            sums[some] = np.sqrt(np.add.reduceat(rows, starts))
     return skew, apart
 
 

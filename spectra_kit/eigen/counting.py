@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -103,23 +104,35 @@ def verify(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
     return spectrum.described(with_bounds(certificate, spectrum, laplacian), provenance)
 
 
-def count_modes(spectrum: Spectrum, certificate: Certificate, laplacian: Laplacian) -> ModeCount:
+def count_modes(
+    spectrum: Spectrum,
+    certificate: Certificate,
+    laplacian: Laplacian,
+    blocks: Sequence[Laplacian] = (),
+) -> ModeCount:
     """Return what one or two counts prove, as `eigensolve` makes them of what is to be exact.
 
+    The operator may be known in `blocks` that nothing joins, of which each has been ordered before.
     Where a factor does not fit into memory nothing is proved, and the reason says so.
     """
     try:
-        return _counted(spectrum, certificate, laplacian, thorough=False)
+        return _counted(spectrum, certificate, laplacian, blocks, thorough=False)
     except MemoryError as error:  # the modes are there, and must not be lost for it
         reason = f"not counted: {str(error) or 'out of memory'}"
         return ModeCount(verified=0, radius=0.0, floor=0.0, reason=reason)
 
 
 def _counted(
-    spectrum: Spectrum, certificate: Certificate, laplacian: Laplacian, *, thorough: bool
+    spectrum: Spectrum,
+    certificate: Certificate,
+    laplacian: Laplacian,
+    blocks: Sequence[Laplacian] = (),
+    *,
+    thorough: bool,
 ) -> ModeCount:
     """Return what counts prove of a spectrum, zero modes included."""
-    count = _Prover.of(spectrum, certificate, laplacian).prove(thorough=thorough)
+    prover = _Prover.of(spectrum, certificate, laplacian, blocks)
+    count = prover.prove(thorough=thorough)
     lacking = min(certificate.kernel_dimension, spectrum.k) - certificate.n_zero_modes
     if lacking <= 0 or count.verified == spectrum.k:
         return count
@@ -167,11 +180,18 @@ class _Prover:
     spacing: float
     values: Floats
     radii: Floats
+    blocks: Sequence[Laplacian]
     proof: _Proof = field(default_factory=_Proof)
     refuted: _Refuted = field(default_factory=_Refuted)
 
     @classmethod
-    def of(cls, spectrum: Spectrum, certificate: Certificate, laplacian: Laplacian) -> _Prover:
+    def of(
+        cls,
+        spectrum: Spectrum,
+        certificate: Certificate,
+        laplacian: Laplacian,
+        blocks: Sequence[Laplacian],
+    ) -> _Prover:
         """Of a spectrum and what is known of it."""
         free = laplacian.free
         if len(laplacian.fixed):
@@ -183,12 +203,23 @@ class _Prover:
             laplacian.eigenvalue_spacing,
             spectrum.eigenvalues,
             _radii(spectrum, laplacian, certificate.residuals),
+            blocks or [laplacian],
         )
 
     @cached_property
-    def _pencil(self) -> Pencil:
-        laplacian = self.laplacian
-        return Pencil(laplacian.stiffness, laplacian._weights, laplacian._elimination)
+    def _pencils(self) -> list[Pencil]:
+        return [Pencil(one.stiffness, one._weights, one._elimination) for one in self.blocks]
+
+    def _inertia(self, sigma: float) -> tuple[int, int, float] | None:
+        """Return how many pivots are negative and zero, and the backward error of the factors."""
+        negative, zero, error = 0, 0, 0.0
+        for block, pencil in zip(self.blocks, self._pencils, strict=True):
+            if (factor := pencil.factor(sigma)) is None:
+                return None
+            negative += factor.inertia.negative
+            zero += factor.inertia.zero
+            error = max(error, factor.backward_error(block._diagonal))
+        return negative, zero, error
 
     def prove(self, *, thorough: bool = True) -> ModeCount:
         """Find the largest number of leading modes that a count confirms.
@@ -253,17 +284,14 @@ class _Prover:
         for sigma in self._shifts(j, below_next):
             if not lowest < sigma < highest:
                 continue
-            factor = self._pencil.factor(sigma)
-            if factor is None:
+            if (inertia := self._inertia(sigma)) is None:
                 continue
+            negative, zero, error = inertia
             # And what rounds the diagonal of L - sigma M.
-            weight = laplacian._diagonal
-            largest = np.abs(laplacian.stiffness.diagonal() / weight).max()
-            error = factor.backward_error(weight) + float(_EPS * (sigma + largest))
-            error /= laplacian._least_weight
+            largest = np.abs(laplacian.stiffness.diagonal() / laplacian._diagonal).max()
+            error = (error + float(_EPS * (sigma + largest))) / laplacian._least_weight
             if sigma - error > lowest:
                 # What counts as zero may be negative: no more than both lie below.
-                negative, zero, _ = factor.inertia
                 found = _Below(negative + zero, sigma - error, negative, sigma + error)
                 # More of them are certainly missing only if rounding keeps clear of the next mode.
                 if not below_next or found.number == j or found.ceiling < highest:

@@ -144,6 +144,7 @@ class _Run:
     begun: Callable[[], Eigenpairs] | None = None  # in place of the solver, of a whole operator
     start: float = field(default_factory=time.perf_counter)
     parts: list[Ints] = field(default_factory=list)  # the points of each component
+    pieces: dict[int, Laplacian] = field(default_factory=dict)  # of those solved by themselves
     chosen: dict[int, Chosen] = field(default_factory=dict)  # by component, where a solver chose
     found: dict[int, Eigenpairs] = field(default_factory=dict)  # by component
     stages: dict[str, float] = field(default_factory=dict)  # wall times, over the components
@@ -190,7 +191,8 @@ class _Run:
         laplacian, k, added, why = self.laplacian, self.k, 0, "use another solver"
         for seed in range(_ROUNDS):
             begin = time.perf_counter()
-            count = replace(count_modes(spectrum, certificate, laplacian), added=added)
+            count = count_modes(spectrum, certificate, laplacian, self.blocks())
+            count = replace(count, added=added)
             self.book("count", time.perf_counter() - begin)
             certificate = replace(certificate, count=count)
             if not count.missing:
@@ -270,7 +272,7 @@ class _Run:
                 alone -= solved
                 wanted = [most[i] if i in solved else own for i, own in enumerate(wanted)]
             for i in sorted(alone):
-                part = laplacian if whole else laplacian.restricted(parts[i])
+                part = laplacian if whole else self.piece(i)
                 own = solver if whole else restricted(solver, parts[i])
                 try:
                     self.keep(i, self.connected(part, wanted[i], own))
@@ -335,6 +337,19 @@ class _Run:
                 solved.add(i)
         self.book("dense", time.perf_counter() - begin)
         return solved
+
+    def piece(self, i: int) -> Laplacian:
+        """Return the operator on a component."""
+        if i not in self.pieces:
+            self.pieces[i] = self.laplacian.restricted(self.parts[i])
+        return self.pieces[i]
+
+    def blocks(self) -> list[Laplacian]:
+        """Return the operators on the components solved by themselves, and on all the others."""
+        rest = [part for i, part in enumerate(self.parts) if i not in self.pieces]
+        if not self.pieces or not rest:
+            return [*self.pieces.values()]
+        return [*self.pieces.values(), self.laplacian.restricted(np.sort(np.concatenate(rest)))]
 
     def keep(self, i: int, pairs: Eigenpairs) -> None:
         """Remember what was found of a component, and what was chosen for it."""

@@ -19,7 +19,7 @@ from spectra_kit._core.shown import draw
 from spectra_kit._core.threads import blas_threads_for
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count, check_positive, quantity
-from spectra_kit._sparse.host import energies, gram, product
+from spectra_kit._sparse.host import dots, energies, gram, product
 from spectra_kit._sparse.inverse_norms import inverse_squares
 from spectra_kit._sparse.products import residual_norms, weighed
 from spectra_kit.eigen.certificate import Certificate, ModeCount, Provenance
@@ -234,7 +234,7 @@ class Spectrum(Rebuilt):
         self._check_belongs_to(laplacian)
         M = laplacian.consistent_mass
         if M is None:
-            norms = residual_norms(
+            norms, along = residual_norms(
                 laplacian.stiffness,
                 laplacian.mass,
                 self.eigenvalues,
@@ -247,6 +247,8 @@ class Spectrum(Rebuilt):
             if len(laplacian.fixed):
                 rest, M = rest[laplacian.free], laplacian.restricted(laplacian.free).consistent_mass
             norms = np.sqrt(inverse_squares(M, rest, laplacian._least_weight))
+            along = dots(self.eigenvectors[laplacian.free], rest)
+        vars(self)["_along"] = along
         known = vars(self).get("_products")
         if known is None and M is None:
             squared = energies(self.mass, self.eigenvectors)
@@ -255,6 +257,12 @@ class Spectrum(Rebuilt):
         if not squared.all():
             raise InvalidSpectrumError("eigenvectors", "not hold a column of zeros")
         return np.asarray(norms / np.sqrt(squared))
+
+    def _rest_along(self, laplacian: Laplacian) -> Floats:
+        """``u^T (L u - lambda M u)`` of each mode, which `residuals` meets on its way."""
+        if "_along" not in vars(self):
+            self.residuals(laplacian)
+        return np.asarray(vars(self)["_along"])
 
     def _check_belongs_to(self, laplacian: Laplacian) -> None:
         """Refuse to compare this spectrum with an operator that it cannot be of."""

@@ -153,4 +153,6 @@ def test_residuals_compiled_and_not(animal, animal_spectrum) -> None:
     assert np.abs(R - expected).max() <= 1e-7 * np.abs(expected).max()
     plain = np.sqrt((expected**2 / animal.mass[:, None]).sum(axis=0))
     assert norms == pytest.approx(plain, rel=1e-10)
-    assert residual_norms(*arguments) == pytest.approx(plain, rel=1e-10)
+    again, along = residual_norms(*arguments)
+    assert again == pytest.approx(plain, rel=1e-10)
+    assert along == pytest.approx((moved * expected).sum(axis=0), rel=1e-10, abs=1e-10)

@@ -220,7 +220,7 @@ def test_a_pivot_lost_in_rounding_may_be_negative() -> None:
         b = np.sqrt(a * c)
         stiffness = sparse.csr_array([[a + 1, b], [b, c + 1]])
         laplacian = sk.Laplacian(stiffness, np.ones(2), np.zeros((2, 3)))
-        prover = _Prover(laplacian, 1000.0, np.zeros(1), np.zeros(1))
+        prover = _Prover(laplacian, 1000.0, np.zeros(1), np.zeros(1), [laplacian])
         try:
             factor = SparseLDL(sparse.csr_array([[a, b], [b, c]]), definite=False)
         except sk.InvalidInputError:  # an exact zero
@@ -231,6 +231,27 @@ def test_a_pivot_lost_in_rounding_may_be_negative() -> None:
         assert below.number >= lost
         assert below.floor < 1
     assert negative > 5
+
+
+def test_counts_by_blocks_are_those_of_the_whole() -> None:
+    """Nothing joins parts, so their pivots add up, whichever parts are taken together."""
+    balls = [sk.geometry.sphere(subdivisions=s).geometry for s in (3, 2, 3)]
+    points = np.vstack([ball.points * (1 + i / 9) + 4 * i for i, ball in enumerate(balls)])
+    ends = np.cumsum([0, *(ball.n for ball in balls)])
+    faces = [ball.faces + start for ball, start in zip(balls, ends, strict=False)]
+    whole = sk.robust_laplacian(sk.TriangleMesh(points, np.vstack(faces)))
+    parts = np.split(np.arange(whole.n), ends[1:-1])
+    blocks = [whole.restricted(np.concatenate([parts[0], parts[2]])), whole.restricted(parts[1])]
+    nothing = np.zeros(1)
+    alone, apart = (
+        _Prover(whole, whole.eigenvalue_spacing, nothing, nothing, some)
+        for some in ([whole], blocks)
+    )
+    exact = sk.eigensolve(whole, 40).eigenvalues
+    for sigma in (1.0, 2.5, 5.0):
+        (negative, zero, error), counted = alone._inertia(sigma), apart._inertia(sigma)
+        assert counted[:2] == (negative, zero) == ((exact < sigma).sum(), 0)
+        assert counted[2] == pytest.approx(error, rel=0.5)  # bounds of another order of elimination
 
 
 def test_the_command_line_says_what_is_verified(tmp_path, capsys) -> None:

@@ -39,6 +39,7 @@ def test_the_command_measures_reports_and_goes_on(tmp_path, monkeypatch, capsys)
     steps = {"steps": (("sample", 600),), "traits": ("smooth",)}
     small = Recipe(name="small", sources=("creature:600",), **steps)
     monkeypatch.setattr(app, "REAL", {"small": small})
+    monkeypatch.setattr(app, "MEMBERS", {"small": small})
     monkeypatch.setattr(app, "run", partial(run, jobs=0))  # processes are the harness's
     monkeypatch.setattr(solves, "sphere", lambda **_: sphere(subdivisions=3))  # to warm up: small
     words = ["eigensolvers", str(tmp_path), "--members", "small", "-k", "6", "--repeats", "1"]

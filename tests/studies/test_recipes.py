@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from studies.recipes import REAL, STEPS, Recipe, real_meshes
+from studies.recipes import REAL, STEPS, Recipe, meshes_of
 
 from spectra_kit._core.fingerprint import shape_digest
 from spectra_kit.errors import InvalidInputError
@@ -108,11 +108,11 @@ def test_missing_data_are_told_and_leave_no_shape(tmp_path, monkeypatch):
     assert parts.missing == "no data: train_pool:40; set SPECTRA_KIT_DATA"
     with pytest.raises(InvalidInputError, match="ood_public/igea"):
         igea.make()
-    assert real_meshes() == ()
+    assert meshes_of(REAL) == ()
     before = replace(igea).facts
     (tmp_path / "ood_public").mkdir()
     write(BALL, tmp_path / "ood_public" / "igea.npz")
-    (shape,) = real_meshes()
+    (shape,) = meshes_of(REAL)
     assert (shape.name, shape.mesh.n) == ("igea", BALL.n)
     assert replace(igea).facts != before
 

@@ -52,7 +52,7 @@ from studies.eigensolvers.solves import KINDS, OPERATOR, Preparation, Solves, cl
 from studies.eigensolvers.summary import Row, Summary, leads, memory, summaries
 from studies.machine import describe_machine, most_memory
 from studies.plots import ParetoPoint, fronts, plot_pareto
-from studies.recipes import REAL, Recipe, model_sources
+from studies.recipes import MEMBERS, REAL, Recipe, model_sources
 from studies.report import Table, ratio, write_report
 from studies.store import Record, Store
 from studies.study import Repeats, Result, repeats_of, run
@@ -68,8 +68,8 @@ def options(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--set", choices=("real", "models", "demo"), default="real",
         help="default: real")  # fmt: skip
-    what.add_argument("--members", nargs="+", choices=list(REAL), metavar="NAME",
-        help=f"of the real ones: {', '.join(REAL)}")  # fmt: skip
+    what.add_argument("--members", nargs="+", choices=list(MEMBERS), metavar="NAME",
+        help=f"of the real and the made ones: {', '.join(MEMBERS)}")  # fmt: skip
     what.add_argument("--file", default="", help="a mesh instead")
     add("--sizes", type=int, nargs="+", metavar="N",
         help="points of clouds from models, the demo or a file")  # fmt: skip
@@ -100,7 +100,8 @@ def _problems(args: argparse.Namespace) -> list[Recipe]:
     if args.file or args.set != "real":
         sources = (args.file,) if args.file else _DEMO if args.set == "demo" else model_sources()
         return clouds_of(sources, args.sizes or _SIZES, args.models)
-    return [REAL[name] for name in args.members or REAL if REAL[name].kind in args.geometry]
+    members = [MEMBERS[name] for name in args.members or REAL]
+    return [member for member in members if member.kind in args.geometry]
 
 
 def measure(args: argparse.Namespace) -> None:

@@ -48,7 +48,7 @@ from studies.geodesics.contenders import (
 )
 from studies.geodesics.distances import Accuracy, Exact, Modes, Times
 from studies.machine import describe_machine, most_memory
-from studies.recipes import REAL, real_meshes
+from studies.recipes import MEMBERS, REAL, meshes_of
 from studies.report import Table, ratio, write_report
 from studies.shapes import Shape, shapes_named
 from studies.store import Record, Store
@@ -85,8 +85,8 @@ def _shapes(args: argparse.Namespace) -> tuple[Shape, ...]:
     """Members of the set, files, or names of public meshes."""
     of_the_set = [name for name, member in REAL.items() if member.kind == "mesh"]
     names = args.meshes or (of_the_set if args.race else MESHES)
-    members = real_meshes(name for name in names if args.race and name in of_the_set)
-    return members + shapes_named(n for n in names if not (args.race and n in of_the_set))
+    made = [name for name in names if args.race and name in MEMBERS]
+    return meshes_of(made) + shapes_named(name for name in names if name not in made)
 
 
 def measure(args: argparse.Namespace) -> None:
