@@ -7,8 +7,8 @@
 Models are those of `ood_public`, or made ones of studies/recipes.py. Of paths: the search from one
 vertex, one path after it; how far lengths are from libigl's exact distances, in the worst case, and
 from those of pygeodesic, where it is installed, with the seconds of their searches for these ten;
-and how much longer than the shortest those are that potpourri3d's edge flips find. Of vectors: set-
-up with the first transport, and the next, of both; and the angle between both. Of curvature:
+and how much longer than the shortest those are that potpourri3d's edge flips find. Of vectors: the
+set-up with the first transport, and the next, of both; and the angle between both. Of curvature:
 seconds, and the rank correlation of mean curvatures with those of libigl, which fits quadrics to
 five rings, and of LaPy, which takes angles between faces. Seconds are by the clock, of the quicker
 of two turns.

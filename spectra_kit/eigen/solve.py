@@ -18,7 +18,8 @@ from spectra_kit._core.validate import check_count
 from spectra_kit.eigen.accuracy import warn_of_doubts
 from spectra_kit.eigen.automatic import Automatic
 from spectra_kit.eigen.base import Eigenpairs, Eigensolver, check_dimension_of
-from spectra_kit.eigen.run import is_whole, promise_of, solve
+from spectra_kit.eigen.components import promise_of
+from spectra_kit.eigen.run import is_whole, solve
 from spectra_kit.eigen.spectrum import Spectrum
 from spectra_kit.errors import InvalidInputError, SpectraKitError
 from spectra_kit.geometry import Geometry
