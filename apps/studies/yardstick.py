@@ -22,8 +22,10 @@ import csv
 import json
 import statistics
 import time
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import redirect_stdout
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -54,6 +56,7 @@ _COLUMNS = {
     **{"task": "", "beside": "", "times sooner": ".2f", "worst": ".2f", "worst on": ""},
     **{"seconds there": ".3g", "noise": ".0%"},
 }
+_FAILED = ("study", "contender", "problems", "reason")
 _MAPS = {"method": "", "pairs": "d", "mean": ".2f", "worst": ".2f", "over 8": ".0%", "s": ".2f"}
 
 
@@ -79,11 +82,13 @@ def measure(args: argparse.Namespace) -> None:
     shared = ["--threads", str(args.threads), "--repeats", str(args.repeats)]
     methods = [*_THEIRS, *_OURS, "neo"]
     devices = ["cpu", "cuda"] if args.device == "cuda" else ["cpu"]
-    solved = _study(args.out, "eigensolvers", "--members", *MADE, "--methods", *methods,
+    failed = list[Record]()
+    study = partial(_study, failed, args.out)
+    solved = study("eigensolvers", "--members", *MADE, "--methods", *methods,
         "--device", *devices, *shared)  # fmt: skip
-    far = _study(args.out, "geodesics", "--race", "--meshes", *_MESHES, *shared)
-    walked = _study(args.out, "walking", "--models", *_MESHES, "--dirty", "0", "--targets", "20")
-    matched = _study(args.out, "matching", "--demo", "--no-pictures")
+    far = study("geodesics", "--race", "--meshes", *_MESHES, *shared)
+    walked = study("walking", "--models", *_MESHES, "--dirty", "0", "--targets", "20")
+    matched = study("matching", "--demo", "--no-pictures")
     timed = [*_solves(solved, args.out), *_distances(far), *_walks(walked)]
     rows = sorted(_rows(timed), key=lambda row: row["worst"])
     drawn = args.out / "yardstick.png"
@@ -100,6 +105,7 @@ def measure(args: argparse.Namespace) -> None:
         [
             Table("Beside others, the worst first", rows, _COLUMNS),
             Table("Maps of an animal in four poses", matched["Errors"], _MAPS),
+            Table("What failed", failed, dict.fromkeys(_FAILED, "")),
         ],
         describe_machine(name=args.machine, threads=args.threads, device=args.device),
         figures=[drawn],
@@ -107,16 +113,17 @@ def measure(args: argparse.Namespace) -> None:
     )
 
 
-def _study(out: Path, name: str, *options: str) -> dict[str, Any]:
-    """Run a study, whose report is left in its folder, and return its tables."""
+def _study(failed: list[Record], out: Path, name: str, *options: str) -> dict[str, Any]:
+    """Run a study, whose report is left in its folder, and return its tables; tell what failed."""
     from studies.run import main  # which knows this study, too
 
     folder = out / name
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "printed.txt").open("w") as file, redirect_stdout(file):
         main([name, str(folder), *options])
-    tables: dict[str, Any] = json.loads((folder / f"{name}.json").read_text())["tables"]
-    return tables
+    found: dict[str, Any] = json.loads((folder / f"{name}.json").read_text())
+    failed += [{"study": name, **row} for row in found["failed"]]
+    return defaultdict(list, found["tables"])
 
 
 def _solves(tables: dict[str, Any], out: Path) -> Iterator[Timed]:
