@@ -102,15 +102,22 @@ def confidence_of(
     `against` counts the doubts that right maps of bodies and animals hardly ever raise: an unclear
     orientation, and other genera.
     """
-    evidence = {
+    evidence = evidence_of(score, discontinuity, margin, coverage)
+    logit = _WHOLE_INTERCEPT + sum(_WHOLE[name] * value for name, value in evidence.items())
+    logit += _AGAINST * against
+    return float(1 / (1 + np.exp(-logit)))
+
+
+def evidence_of(
+    score: float, discontinuity: float | None, margin: float | None, coverage: float
+) -> dict[str, float]:
+    """Return what the confidence of a map is linear in, but for a logistic."""
+    return {
         "score": np.log(score),
         "discontinuity": _SEEN if discontinuity is None else np.log(discontinuity + _LEAST),
         "margin": 0.0 if margin is None else np.clip(np.log(max(margin, 1e-9)), *_MARGINS),
         "coverage": np.clip(coverage, *_COVERAGES),
     }
-    logit = _WHOLE_INTERCEPT + sum(_WHOLE[name] * value for name, value in evidence.items())
-    logit += _AGAINST * against
-    return float(1 / (1 + np.exp(-logit)))
 
 
 def confidence_at(whole: float, wave: Floats, curvature: Floats, stretch: Floats) -> Floats:
@@ -119,10 +126,14 @@ def confidence_at(whole: float, wave: Floats, curvature: Floats, stretch: Floats
     `whole` is the confidence of the map; signatures and curvatures differ so much, and edges are
     so stretched, where they are averaged over neighbours.
     """
+    evidence = evidence_at(whole, wave, curvature, stretch)
+    logit = _POINT_INTERCEPT + evidence @ np.array(list(_POINT.values()))
+    return np.asarray(1 / (1 + np.exp(-logit)))
+
+
+def evidence_at(whole: float, wave: Floats, curvature: Floats, stretch: Floats) -> Floats:
+    """Return what the confidence of points is linear in, but for a logistic, (n, 4)."""
     sure = np.clip(whole, 1e-12, 1 - 1e-12)
     odds = np.clip(np.log(sure / (1 - sure)), *_WHOLE_ODDS)
-    weights = [_POINT[name] for name in ("wave", "curvature", "stretch")]
-    seen = np.column_stack([wave, curvature, stretch])
-    logit = _POINT_INTERCEPT + _POINT["whole"] * odds
-    logit = logit + np.log(seen + _LEAST) @ weights
-    return np.asarray(1 / (1 + np.exp(-logit)))
+    seen = np.log(np.column_stack([wave, curvature, stretch]) + _LEAST)
+    return np.column_stack([np.full(len(seen), odds), seen])
