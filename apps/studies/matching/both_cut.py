@@ -22,7 +22,6 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from spectra_kit._core.types import Bools, Floats
 from spectra_kit.errors import DoubtfulMatchWarning
 from spectra_kit.geodesics import edge_graph, pair_distances
-from spectra_kit.geometry import TriangleMesh
 from spectra_kit.maps import Match, match, match_part
 from studies.machine import describe_machine
 from studies.matching.parts import KINDS, REFERENCE, cut_pairs, left_of, overlap, part_of

@@ -101,8 +101,14 @@ def options(parser: argparse.ArgumentParser) -> None:
     add("--demo", action="store_true", help="a demo animal in four poses instead, 12 pairs")
     add("--only", nargs="+", default=(), metavar="PREFIX", help="subjects whose names begin so")
     made = parser.add_mutually_exclusive_group()
-    made.add_argument("--triangulations", action="store_const", dest="makers", default={},
-        const=TRIANGULATIONS, help="the targets in six triangulations")
+    made.add_argument(
+        "--triangulations",
+        action="store_const",
+        dest="makers",
+        default={},
+        const=TRIANGULATIONS,
+        help="the targets in six triangulations",
+    )
     made.add_argument("--spoilings", action="store_const", dest="makers",
         const=SPOILINGS, help="the targets spoiled as scans are")  # fmt: skip
     add(
@@ -111,7 +117,7 @@ def options(parser: argparse.ArgumentParser) -> None:
         help="which pairs, and which errors count (default: what is usual for each set)",
     )
     add("--pairs", type=int, metavar="N",
-        help="draw N of each set (random: 100; triangulations and spoilings: 5; others: all)")  # fmt: skip
+        help="draw N of each set (random: 100; made anew: 5; others: all)")  # fmt: skip
     add("--seed", type=int, default=0, help="of the draw (%(default)s)")
     add("--pair-list", type=Path, help="of ren-300 (default: ren_pairs.txt in each set)")
     add("--backends", nargs="+", choices=list(BACKENDS), default=["exact"], metavar="NAME",
@@ -192,7 +198,9 @@ def _sets(args: argparse.Namespace) -> list[PairSet]:
     if not args.makers:
         return sets
     count = _FEW if args.pairs is None else args.pairs
-    return [made for one in sets for made in remade_sets(one, args.makers, count=count, seed=args.seed)]
+    return [
+        made for one in sets for made in remade_sets(one, args.makers, count=count, seed=args.seed)
+    ]
 
 
 # --- tables ---
@@ -202,8 +210,13 @@ _WHO = {"set": "", "method": ""}
 _ERRORS = {
     **_WHO,
     **{"pairs": "d", "mean": ".2f", "median": ".2f", "worst": ".2f", "over 8": ".0%"},
-    **{"best finalist": ".2f", "doubted wrong": "", "doubted right": "", "confidence": ".2f",
-       "s": ".2f"},
+    **{
+        "best finalist": ".2f",
+        "doubted wrong": "",
+        "doubted right": "",
+        "confidence": ".2f",
+        "s": ".2f",
+    },
     **{"CPU s": ".2f", "of exact": ".2f", "of the plain set": ".2f"},
 }
 _KINDS = {

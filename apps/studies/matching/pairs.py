@@ -88,7 +88,7 @@ class Spectra(Study[Basis, str]):
 
     def facts(self, contender: Basis, problem: str) -> dict[str, object]:
         return {
-            "subject": self.subjects[problem].digest,
+            "subject": [problem, self.subjects[problem].digest],  # the file has its name
             "kind": contender.kind,
             "solver": _options(contender.backend, self.weights),
             "k": self.k,
@@ -182,7 +182,9 @@ class Pairs(Study[Way, Pair]):
         if len(outcome.seen):
             files.append(path.with_suffix(".points.npz"))
             truth = truth_between(source, target)
-            some = np.linspace(0, len(truth.source) - 1, min(_POINTS, len(truth.source))).astype(int)
+            some = np.linspace(0, len(truth.source) - 1, min(_POINTS, len(truth.source))).astype(
+                int
+            )
             truth = Truth(truth.source[some], truth.target[some])
             errors = geodesic_errors(source.mesh, outcome.point_map, truth)
             with atomic_path(files[1]) as part:

@@ -52,9 +52,7 @@ def merged(mesh: TriangleMesh, rng: np.random.Generator) -> TriangleMesh:
     away = ways[i, j] > _FAR * unit
     i, j = i[away], j[away]
     if not len(i):
-        raise InvalidInputError(
-            "mesh", "have parts that touch", "none", advice="take another pose"
-        )
+        raise InvalidInputError("mesh", "have parts that touch", "none", advice="take another pose")
     gaps = np.linalg.norm(mesh.points[i] - mesh.points[j], axis=1)
     near = gaps < gaps.min() + _MERGED * unit
     middles = cKDTree((mesh.points[i] + mesh.points[j])[near] / 2)
@@ -64,7 +62,7 @@ def merged(mesh: TriangleMesh, rng: np.random.Generator) -> TriangleMesh:
     def field(points: Floats) -> Floats:
         kind = igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
         body = igl.signed_distance(points, fine.points, fine.faces, kind)[0]
-        return np.minimum(body, middles.query(points)[0] - radius)
+        return np.asarray(np.minimum(body, middles.query(points)[0] - radius))
 
     low, high = mesh.points.min(axis=0) - 4 * cell, mesh.points.max(axis=0) + 4 * cell
     cells = int(np.prod((high - low) / cell))

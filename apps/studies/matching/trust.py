@@ -6,6 +6,7 @@ what was fitted to those of the other: no shape is seen before.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from studies.store import Record
 RIGHT = 8.0  #: Hundredths of the root of the area up to which maps, and points, are right.
 _BINS = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
 _PRIOR = 1e-3  # of the squared weights of evidence of unit variance: keeps them finite
-NAMES = [f"{low:g}-{high:g}" for low, high in zip(_BINS, _BINS[1:], strict=False)]
+NAMES = [f"{low:g}-{high:g}" for low, high in itertools.pairwise(_BINS)]
 COLUMNS = {"of": "", "by": "", **dict.fromkeys(NAMES, ""), "wrong below 0.5": "",
            "right below 0.5": ""}  # fmt: skip
 
@@ -68,13 +69,12 @@ def _points(folder: Path, record: Record) -> tuple[Floats, Floats]:
     """Return what is seen at some points of a pair, and their errors."""
     [path] = (folder / name for name in record["files"] if name.endswith(".points.npz"))
     with np.load(path) as file:
-        return file["seen"], file["errors"]
+        return np.asarray(file["seen"]), np.asarray(file["errors"])
 
 
 def _at_points(whole: Floats, known: Sequence[tuple[Floats, Floats]]) -> Floats:
-    return np.concatenate(
-        [calibration.confidence_at(c, *seen.T) for c, (seen, _) in zip(whole, known, strict=True)]
-    )
+    each = zip(whole, known, strict=True)
+    return np.concatenate([calibration.confidence_at(c, *seen.T) for c, (seen, _) in each])
 
 
 def _fitted_whole(records: Sequence[Record], right: Bools, of: Ints) -> Floats:
@@ -91,7 +91,7 @@ def _fitted_whole(records: Sequence[Record], right: Bools, of: Ints) -> Floats:
         for value in (False, True):
             some = (of == i) & (right == value)
             weights[some] = 1 / max(some.sum(), 1)
-    return np.minimum(_crossed(evidence, right, of, weights) * shipped / plain, 1.0)
+    return np.asarray(np.minimum(_crossed(evidence, right, of, weights) * shipped / plain, 1.0))
 
 
 def _crossed(evidence: Floats, right: Bools, of: Ints, weights: Floats) -> Floats:
@@ -103,7 +103,9 @@ def _crossed(evidence: Floats, right: Bools, of: Ints, weights: Floats) -> Float
         scaled = np.column_stack([np.ones(len(evidence)), (evidence - middle) / scale])
         signs, share = np.where(right[some], 1.0, -1.0), weights[some] / weights[some].sum()
 
-        def loss(b: Floats, x: Floats = scaled[some], s: Floats = signs, w: Floats = share) -> float:
+        def loss(
+            b: Floats, x: Floats = scaled[some], s: Floats = signs, w: Floats = share
+        ) -> float:
             return float(w @ np.logaddexp(0, -s * (x @ b)) + _PRIOR * (b[1:] @ b[1:]))
 
         found = minimize(loss, np.zeros(scaled.shape[1])).x
