@@ -19,7 +19,7 @@ cross-validation over pairs, a right point had more confidence than a wrong one 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -69,8 +69,9 @@ _WHOLE = {"score": -0.98, "discontinuity": -2.13, "margin": 13.55, "coverage": 1
 _WHOLE_INTERCEPT = -23.83
 _LEAST = 1e-3  # added to what a logarithm is taken of
 _SEEN = -5.0  # the logarithm of a share that is not known: says neither yes nor no
-# Of what right maps hardly ever have, and which was not fitted for want of them: one to fifty.
-_AGAINST = -4.0
+# Not fitted: an unclear orientation right maps hardly ever have, one to fifty; other genera those of
+# bodies whose hands touch them have as well, one to five.
+_AGAINST = {"orientation": -4.0, "genera": -1.6}
 _MARGINS, _COVERAGES = (-0.1, 0.3), (0.8, 1.6)  # beyond which more says no more
 
 _POINT = {"whole": 0.358, "wave": -0.516, "curvature": -0.447, "stretch": -0.75}
@@ -94,17 +95,17 @@ def confidence_of(
     discontinuity: float | None,
     margin: float | None,
     coverage: float,
-    against: int = 0,
+    against: Iterable[str] = (),
 ) -> float:
     """Return how likely a map with such attributes of `Match` is right, in [0, 1].
 
     Without a margin, as of a map that was compared with no other, as if a rival scored as well.
-    `against` counts the doubts that right maps of bodies and animals hardly ever raise: an unclear
-    orientation, and other genera.
+    `against` are doubts; those about orientation and genera count, as right maps of bodies and
+    animals raise them seldom.
     """
     evidence = evidence_of(score, discontinuity, margin, coverage)
     logit = _WHOLE_INTERCEPT + sum(_WHOLE[name] * value for name, value in evidence.items())
-    logit += _AGAINST * against
+    logit += sum(_AGAINST.get(doubt, 0.0) for doubt in against)
     return float(1 / (1 + np.exp(-logit)))
 
 
