@@ -69,8 +69,8 @@ _WHOLE = {"score": -0.98, "discontinuity": -2.13, "margin": 13.55, "coverage": 1
 _WHOLE_INTERCEPT = -23.83
 _LEAST = 1e-3  # added to what a logarithm is taken of
 _SEEN = -5.0  # the logarithm of a share that is not known: says neither yes nor no
-# Not fitted: an unclear orientation right maps hardly ever have, one to fifty; other genera those of
-# bodies whose hands touch them have as well, one to five.
+# Not fitted: an unclear orientation, which right maps hardly ever have, counts one to fifty; other
+# genera, which those of bodies have whose hands touch them, one to five.
 _AGAINST = {"orientation": -4.0, "genera": -1.6}
 _MARGINS, _COVERAGES = (-0.1, 0.3), (0.8, 1.6)  # beyond which more says no more
 
