@@ -220,6 +220,22 @@ def test_many_small_holes_are_no_cut() -> None:
     assert found.convincing
 
 
+def test_gaps_in_a_wall_are_no_cut() -> None:
+    """Eight in the trunk, of 5 % of the area: as wide as what a leg leaves, and nothing is beyond."""
+    one, other, rest = (creature(1500, pose=pose) for pose in (1, 2, 0))
+    x, _, z = rest.points.T
+    trunk = np.flatnonzero((x > -0.6) & (x < 0.5) & (z > -0.1))
+    chosen = rest.points[np.random.default_rng(0).choice(trunk, 8)]
+    left = cKDTree(chosen).query(rest.points)[0] > 0.1
+    holed = part_of(one, left)
+    assert holed.area < 0.95 * one.area
+    around = len(holed.boundary_vertices) * np.sqrt(holed.area / holed.n)  # edges of about a length
+    assert around / np.sqrt(8 * holed.area) > 0.5  # what eight round holes of that length count
+    found = match(prepared(holed), prepared(other), mirrored=False, options=QUICK)
+    assert found.rims[0] < 0.5
+    assert found.convincing
+
+
 # --- what is known before -------------------------------------------------------------------
 
 
