@@ -221,7 +221,7 @@ def test_many_small_holes_are_no_cut() -> None:
 
 
 def test_gaps_in_a_wall_are_no_cut() -> None:
-    """Eight in the trunk, of 5 % of the area: as wide as what a leg leaves, and nothing is beyond."""
+    """Eight in the trunk, of 5 % of the area: as wide as what a leg leaves."""
     one, other, rest = (creature(1500, pose=pose) for pose in (1, 2, 0))
     x, _, z = rest.points.T
     trunk = np.flatnonzero((x > -0.6) & (x < 0.5) & (z > -0.1))

@@ -60,6 +60,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from spectra_kit._core.threads import usable_cores
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import PointCloud
 from spectra_kit.maps import FLIP_MARGIN, MapErrors, geodesic_errors
 from spectra_kit.show import MatchedPair, Page, View, plot_correspondences
@@ -116,8 +117,8 @@ def options(parser: argparse.ArgumentParser) -> None:
         choices=list(PROTOCOLS),
         help="which pairs, and which errors count (default: what is usual for each set)",
     )
-    add("--pairs", type=int, metavar="N",
-        help="draw N of each set (random: 100; made anew: 5; others: all)")  # fmt: skip
+    add("--pairs", type=int, nargs="+", metavar="N",
+        help="draw N of each set, or of each its N (random: 100; made anew: 5; others: all)")  # fmt: skip
     add("--seed", type=int, default=0, help="of the draw (%(default)s)")
     add("--pair-list", type=Path, help="of ren-300 (default: ren_pairs.txt in each set)")
     add("--backends", nargs="+", choices=list(BACKENDS), default=["exact"], metavar="NAME",
@@ -184,22 +185,30 @@ def _matched(pair_set: PairSet, args: argparse.Namespace) -> Matched:
 
 def _sets(args: argparse.Namespace) -> list[PairSet]:
     """Return the sets that are asked for."""
+    counts = args.pairs or [None]
+    if len(counts) not in (1, len(args.data)):
+        raise InvalidInputError("pairs", f"be one number, or {len(args.data)}, one a set", counts)
     if args.demo:
-        sets = [demo_set(None if args.makers else args.pairs)]
+        sets = [demo_set(None if args.makers else counts[0])]
     else:
-        sets = pair_sets(
-            args.data,
-            protocol=args.protocol,
-            count=_ALL if args.makers else args.pairs,
-            seed=args.seed,
-            only=args.only,
-            listed=args.pair_list,
-        )
+        each = counts * len(args.data) if len(counts) == 1 else counts
+        sets = [
+            one
+            for name, count in zip(args.data, each, strict=True)
+            for one in pair_sets(
+                [name],
+                protocol=args.protocol,
+                count=_ALL if args.makers else count,
+                seed=args.seed,
+                only=args.only,
+                listed=args.pair_list,
+            )
+        ]
     if not args.makers:
         return sets
-    count = _FEW if args.pairs is None else args.pairs
+    few = counts[0] or _FEW
     return [
-        made for one in sets for made in remade_sets(one, args.makers, count=count, seed=args.seed)
+        made for one in sets for made in remade_sets(one, args.makers, count=few, seed=args.seed)
     ]
 
 
