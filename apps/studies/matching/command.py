@@ -118,7 +118,7 @@ def options(parser: argparse.ArgumentParser) -> None:
         help="which pairs, and which errors count (default: what is usual for each set)",
     )
     add("--pairs", type=int, nargs="+", metavar="N",
-        help="draw N of each set, or of each its N (random: 100; made anew: 5; others: all)")  # fmt: skip
+        help="draw N of each set, or its N of each (random: 100; anew: 5; else all)")  # fmt: skip
     add("--seed", type=int, default=0, help="of the draw (%(default)s)")
     add("--pair-list", type=Path, help="of ren-300 (default: ren_pairs.txt in each set)")
     add("--backends", nargs="+", choices=list(BACKENDS), default=["exact"], metavar="NAME",
