@@ -8,9 +8,9 @@ from conftest import creature, refused
 from test_match import QUICK
 
 from spectra_kit import TriangleMesh
-from spectra_kit.errors import DoubtfulMatchWarning
+from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.geometry import components, permuted, sphere, torus
-from spectra_kit.maps import match_components
+from spectra_kit.maps import match, match_components
 
 RING = torus(n=500, major=1.0, minor=0.4).geometry
 SPECK = sphere(subdivisions=1).geometry
@@ -52,6 +52,11 @@ def test_what_has_no_partner_gets_none() -> None:
     partner = components(source)[found.partner[1]].vertex_index
     assert np.isin(found.point_map[of_animal], partner).all()
     assert repr(found) == "ComponentMatch(1 parts with a partner, 2 without)"
+
+
+def test_whoever_matches_several_parts_as_one_is_told() -> None:
+    with pytest.raises(InvalidInputError, match=r"each with its own, by maps\.match_components"):
+        match(RING, beside(RING, SPECK))
 
 
 def test_specks_alone_are_refused() -> None:
