@@ -1,8 +1,8 @@
 """Match scenes of several bodies, part by part: `parts --scenes`.
 
-A scene is a FAUST body and two animals of SMAL, of different kinds, side by side; its partner has
-others of the same kinds, in another order, with a speck beside them. In every second pair one of
-these is of a kind that the source lacks.
+A scene is a FAUST body and an animal of SMAL, side by side; its partner has others of the same
+kinds, in any order, with a speck beside them. In every second pair the source has two animals of
+different kinds instead, and the body no partner.
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ from studies.study import Study, run
 
 #: Kind -> what the names of its subjects hold.
 KINDS = {"person": "tr_reg", "hippo": "hippo", "cow": "cow", "lion": "lion", "dog": "dog"}
-_PARTS = 3
 
 
 class ScenePair(NamedTuple):
@@ -52,14 +51,11 @@ def scene_pairs(names: Sequence[str], count: int, *, seed: int = 0) -> list[Scen
     of = {kind: [name for name in names if kind_of(name) == kind] for kind in KINDS}
     animals = [kind for kind in KINDS if kind != "person"]
     for i in range(count):
-        drawn = rng.permutation(animals)
-        kinds = ["person", *drawn[: _PARTS - 1]]
-        both = [rng.permutation(of[kind])[:2] for kind in kinds]
-        target = [str(other) for _, other in both]
+        animal, another = rng.permutation(animals)[:2]
+        here, there = np.transpose([rng.permutation(of[k])[:2] for k in ("person", animal)])
         if i % 2:
-            target[-1] = str(rng.choice(of[drawn[_PARTS - 1]]))
-        source = tuple(str(one) for one, _ in both)
-        pairs.append(ScenePair(source, tuple(map(str, rng.permutation(target)))))
+            here[0] = rng.choice(of[another])
+        pairs.append(ScenePair(tuple(map(str, here)), tuple(map(str, rng.permutation(there)))))
     return pairs
 
 
