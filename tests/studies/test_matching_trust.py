@@ -1,5 +1,7 @@
 """What confidence is worth, as shipped and as fitted to one half; and scenes of several bodies."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from studies.matching.scenes import kind_of, scene, scene_pairs
@@ -66,14 +68,23 @@ def test_without_wrong_maps_nothing_is_fitted(tmp_path, records):
 
 def test_pairs_of_halves_are_of_one_half():
     zoo = demo_subjects(500, poses=4)
-    pairs = make_protocol("halves", zoo.values()).pairs
+    ring = replace(zoo["creature0"], name="ring0")
+    pairs = make_protocol("halves", [*zoo.values(), ring]).pairs
     assert set(pairs) == {
         ("creature0", "creature2"), ("creature2", "creature0"),
         ("creature1", "creature3"), ("creature3", "creature1"),
     }  # fmt: skip
+    every = make_protocol("halves", [*zoo.values(), ring], one_class=True).pairs
+    assert set(every) - set(pairs) == {
+        *(("ring0", f"creature{i}") for i in (0, 2)), *((f"creature{i}", "ring0") for i in (0, 2))
+    }  # fmt: skip
 
 
-NAMED = [f"{kind}{i}" for kind in ("tr_reg_00", "hippo", "cow", "lion", "dog") for i in range(4)]
+NAMED = [
+    f"{kind}{i}"
+    for kind in ("tr_reg_00", "hippo", "cow", "a-lion-in-its-habitat", "dog")
+    for i in range(4)
+]
 
 
 def test_scenes_have_others_of_the_same_kinds_and_every_second_a_body_without_partner():
@@ -86,6 +97,7 @@ def test_scenes_have_others_of_the_same_kinds_and_every_second_a_body_without_pa
         assert "person" in others
         assert len(kinds & others) == 2 - i % 2
         assert not set(pair.source) & set(pair.target)
+        assert set(pair.source) | set(pair.target) <= set(NAMED)
     zoo = demo_subjects(500, poses=3)
     made = scene(list(zoo.values()))
     assert [part.mesh.area for part in components(made)] == pytest.approx([1, 1, 1])

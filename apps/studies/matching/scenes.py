@@ -52,10 +52,13 @@ def scene_pairs(names: Sequence[str], count: int, *, seed: int = 0) -> list[Scen
     animals = [kind for kind in KINDS if kind != "person"]
     for i in range(count):
         animal, another = rng.permutation(animals)[:2]
-        here, there = np.transpose([rng.permutation(of[k])[:2] for k in ("person", animal)])
+        drawn = [[str(name) for name in rng.permutation(of[k])[:2]] for k in ("person", animal)]
+        here, there = (list(side) for side in zip(*drawn, strict=True))
         if i % 2:
-            here[0] = rng.choice(of[another])
-        pairs.append(ScenePair(tuple(map(str, here)), tuple(map(str, rng.permutation(there)))))
+            here[0] = str(rng.choice(of[another]))
+        if rng.integers(2):
+            there.reverse()
+        pairs.append(ScenePair(tuple(here), tuple(there)))
     return pairs
 
 

@@ -27,10 +27,11 @@ PROTOCOLS = {
     "all-pairs": "all ordered pairs, without self pairs",
     "ren-300": f"the pairs listed by Ren et al. 2018 as far as present{_SMALLER}",
     "same-class": "ordered pairs within each class, without self pairs",
-    "halves": "ordered pairs of two shapes both of which are of one half, every second by name",
+    "halves": "ordered pairs within each class and each half of the shapes, every second by name",
     "given": "the pairs whose truth comes with the set",
 }
 _SYMMETRIC = ("ren-300",)
+_WITHIN = ("same-class", "halves")  # protocols of pairs within a class
 _RANDOM = 100  # pairs, where no other number is asked for
 
 
@@ -54,6 +55,7 @@ def make_protocol(
     count: int | None = None,
     seed: int = 0,
     listed: Path | None = None,
+    one_class: bool = False,
 ) -> Protocol:
     """Choose the pairs, of subjects in the order that random ones are drawn from.
 
@@ -73,9 +75,8 @@ def make_protocol(
         pairs = [
             (a.name, b.name)
             for a, b in itertools.permutations(everyone, 2)
-            if (name != "same-class" or a.species == b.species)
+            if (name not in _WITHIN or one_class or a.species == b.species)
             and (name != "halves" or half[a.name] == half[b.name])
-            and len(a.landmarks) == len(b.landmarks)
         ]
     if not pairs:
         raise InvalidInputError(
@@ -178,6 +179,7 @@ def pair_sets(
             count=count,
             seed=seed,
             listed=listed or folder / "ren_pairs.txt",
+            one_class=name in _ONE_CLASS,
         )
         used = {name for pair in made.pairs for name in pair}
         sets[name] = PairSet(
