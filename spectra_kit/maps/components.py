@@ -67,7 +67,7 @@ def match_components(
         Of any number of connected parts, wherever they stand and whatever their sizes: each is
         taken at unit area. Parts of fewer than 100 points have no partner.
     mirrored, k, options
-        As in `match`.
+        As of `match`.
 
     Returns
     -------
