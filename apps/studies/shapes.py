@@ -14,6 +14,7 @@ from scipy import sparse
 
 from spectra_kit._core.files import atomic_path, parsing
 from spectra_kit._core.fingerprint import shape_digest
+from spectra_kit._core.types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, creature, read, repair
 from spectra_kit.geometry.io import READERS, is_readable
@@ -67,6 +68,12 @@ def mean_edge(mesh: TriangleMesh) -> float:
     """Return the mean length of the edges."""
     a, b = mesh.points[mesh.unique_edges[0]].transpose(1, 0, 2)
     return float(np.linalg.norm(a - b, axis=1).mean())
+
+
+def vertex_areas(mesh: TriangleMesh) -> Floats:
+    """Return a third of the area of the triangles around each vertex, (n,)."""
+    thirds = np.repeat(mesh.face_areas / 3, 3)
+    return np.bincount(mesh.faces.ravel(), thirds, mesh.n).astype(np.float64)
 
 
 def loop_subdivided(mesh: TriangleMesh, times: int = 1) -> TriangleMesh:

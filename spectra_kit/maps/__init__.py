@@ -11,8 +11,8 @@ Conventions, the same in every function here; `source` is the first argument, `t
   surface in metres and its copy in millimetres is the one between equals.
 
 ========  ===================================================  ==================================
-match     `match`, `match_part`, `match_collection`,           a `Match`: not mirrored, and how
-          `prepare`                                            sure that is
+match     `match`, `match_part`, `match_components`,           a `Match`: not mirrored, and how
+          `match_collection`, `prepare`                        sure that is
 fit       `fit_functional_map`                                 from descriptors or landmarks
 refine    `zoomout`, `bijective_zoomout`, `icp`                to a `Correspondence`: both maps
           `zoomout_many`                                       on samples, to go on from
@@ -43,6 +43,7 @@ A fit may be flipped, and no refinement turns it round; `match` sees to that.
 
 from spectra_kit.maps.carry import CarriedLabels, Carrier
 from spectra_kit.maps.collection import CollectedPair, Collection, match_collection
+from spectra_kit.maps.components import ComponentMatch, match_components
 from spectra_kit.maps.convert import (
     Correspondence,
     functional_map_from_point_map,
@@ -81,6 +82,7 @@ __all__ = [
     "Carrier",
     "CollectedPair",
     "Collection",
+    "ComponentMatch",
     "Correspondence",
     "FitWeights",
     "MapErrors",
@@ -105,6 +107,7 @@ __all__ = [
     "map_errors",
     "match",
     "match_collection",
+    "match_components",
     "match_part",
     "nearest_rows",
     "orientation",

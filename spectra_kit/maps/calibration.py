@@ -19,7 +19,7 @@ cross-validation over pairs, a right point had more confidence than a wrong one 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -69,8 +69,9 @@ _WHOLE = {"score": -0.98, "discontinuity": -2.13, "margin": 13.55, "coverage": 1
 _WHOLE_INTERCEPT = -23.83
 _LEAST = 1e-3  # added to what a logarithm is taken of
 _SEEN = -5.0  # the logarithm of a share that is not known: says neither yes nor no
-# Of what right maps hardly ever have, and which was not fitted for want of them: one to fifty.
-_AGAINST = -4.0
+# Not fitted: an unclear orientation, which right maps hardly ever have, counts one to fifty; other
+# genera, which those of bodies have whose hands touch them, one to five.
+_AGAINST = {"orientation": -4.0, "genera": -1.6}
 _MARGINS, _COVERAGES = (-0.1, 0.3), (0.8, 1.6)  # beyond which more says no more
 
 _POINT = {"whole": 0.358, "wave": -0.516, "curvature": -0.447, "stretch": -0.75}
@@ -94,23 +95,30 @@ def confidence_of(
     discontinuity: float | None,
     margin: float | None,
     coverage: float,
-    against: int = 0,
+    against: Iterable[str] = (),
 ) -> float:
     """Return how likely a map with such attributes of `Match` is right, in [0, 1].
 
     Without a margin, as of a map that was compared with no other, as if a rival scored as well.
-    `against` counts the doubts that right maps of bodies and animals hardly ever raise: an unclear
-    orientation, and other genera.
+    `against` are doubts; those about orientation and genera count, as right maps of bodies and
+    animals raise them seldom.
     """
-    evidence = {
+    evidence = evidence_of(score, discontinuity, margin, coverage)
+    logit = _WHOLE_INTERCEPT + sum(_WHOLE[name] * value for name, value in evidence.items())
+    logit += sum(_AGAINST.get(doubt, 0.0) for doubt in against)
+    return float(1 / (1 + np.exp(-logit)))
+
+
+def evidence_of(
+    score: float, discontinuity: float | None, margin: float | None, coverage: float
+) -> dict[str, float]:
+    """Return what the confidence of a map is linear in, but for a logistic."""
+    return {
         "score": np.log(score),
         "discontinuity": _SEEN if discontinuity is None else np.log(discontinuity + _LEAST),
         "margin": 0.0 if margin is None else np.clip(np.log(max(margin, 1e-9)), *_MARGINS),
         "coverage": np.clip(coverage, *_COVERAGES),
     }
-    logit = _WHOLE_INTERCEPT + sum(_WHOLE[name] * value for name, value in evidence.items())
-    logit += _AGAINST * against
-    return float(1 / (1 + np.exp(-logit)))
 
 
 def confidence_at(whole: float, wave: Floats, curvature: Floats, stretch: Floats) -> Floats:
@@ -119,10 +127,14 @@ def confidence_at(whole: float, wave: Floats, curvature: Floats, stretch: Floats
     `whole` is the confidence of the map; signatures and curvatures differ so much, and edges are
     so stretched, where they are averaged over neighbours.
     """
+    evidence = evidence_at(whole, wave, curvature, stretch)
+    logit = _POINT_INTERCEPT + evidence @ np.array(list(_POINT.values()))
+    return np.asarray(1 / (1 + np.exp(-logit)))
+
+
+def evidence_at(whole: float, wave: Floats, curvature: Floats, stretch: Floats) -> Floats:
+    """Return what the confidence of points is linear in, but for a logistic, (n, 4)."""
     sure = np.clip(whole, 1e-12, 1 - 1e-12)
     odds = np.clip(np.log(sure / (1 - sure)), *_WHOLE_ODDS)
-    weights = [_POINT[name] for name in ("wave", "curvature", "stretch")]
-    seen = np.column_stack([wave, curvature, stretch])
-    logit = _POINT_INTERCEPT + _POINT["whole"] * odds
-    logit = logit + np.log(seen + _LEAST) @ weights
-    return np.asarray(1 / (1 + np.exp(-logit)))
+    seen = np.log(np.column_stack([wave, curvature, stretch]) + _LEAST)
+    return np.column_stack([np.full(len(seen), odds), seen])

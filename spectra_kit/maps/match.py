@@ -168,21 +168,38 @@ def matched(
     initial: Ints | None = None,
 ) -> Match:
     """Do the same with checked arguments."""
-    seen = a.geometry is not None
-    ways = (False, True) if mirrored is None and seen else (bool(mirrored),)
     fewer = min(a.spectrum.k, b.spectrum.k)
     a, b = truncated(a, fewer), truncated(b, fewer)
-    pairs = None if landmarks is None else (a.closest[landmarks[0]], b.closest[landmarks[1]])
-    with single_threaded_blas():  # small products: the threads are ours
-        search = Search(a, b, pairs, options)
-        if initial is None:
-            found = in_threads(search.candidates, ((way,) for way in ways))
-        else:
+    if initial is None:
+        found = searched(a, b, mirrored, options, landmarks)
+    else:
+        with single_threaded_blas():
+            search = Search(a, b, _on_few(a, b, landmarks), options)
             found = [[search.known(on_matched(a, b, initial), mirrored)]]
-        if len(found) == 2 and found[1][0].score * options.mirrored_by < found[0][0].score:
-            found.reverse()
-        given = initial is not None
-        return matched_from(a, b, found, last, options, landmarks, initial=given)
+    given = initial is not None
+    return matched_from(a, b, found, last, options, landmarks, initial=given)
+
+
+def searched(
+    a: Prepared,
+    b: Prepared,
+    mirrored: bool | None,
+    options: MatchOptions,
+    landmarks: Pairs | None = None,
+) -> list[list[Candidate]]:
+    """Return the candidates of either orientation, the best first; both have as many modes."""
+    ways = (False, True) if mirrored is None and a.geometry else (bool(mirrored),)
+    with single_threaded_blas():  # small products: the threads are ours
+        search = Search(a, b, _on_few(a, b, landmarks), options)
+        found = in_threads(search.candidates, ((way,) for way in ways))
+    if len(found) == 2 and found[1][0].score * options.mirrored_by < found[0][0].score:
+        found.reverse()
+    return found
+
+
+def _on_few(a: Prepared, b: Prepared, landmarks: Pairs | None) -> Pairs | None:
+    """Return landmarks of all points as those that the surfaces are matched on."""
+    return None if landmarks is None else (a.closest[landmarks[0]], b.closest[landmarks[1]])
 
 
 def matched_from(

@@ -194,7 +194,7 @@ def prepared(
             "spectrum",
             "be of one connected surface, with its constant mode",
             f"{spectrum.n_zero_modes} zero modes",
-            advice="match the largest part alone, by {}, or one by one (geometry.components)",
+            advice="match the largest part alone, by {}, or each with its own (match_components)",
             remedies=("geometry.largest_component(mesh)",),
         )
     scale = spectrum.area ** (-1 / spectrum.dimension)

@@ -31,7 +31,7 @@ _CLUSTERED = 1.5  # times chance: bodies and animals have less, round shapes mor
 _NOTHING_SHARED = 1.0  # squared difference per mode: half of that of maps at random
 _ALIKE = 2.0  # a map that is right scores better than one that shares nothing with it by more
 _GOOD = 0.1  # what scores better is right by itself, as far as can be seen
-_OPEN = 0.5  # length of a rim at unit area: a round hole of 2 % of the area has it
+_OPEN = 0.5  # length of a rim at unit area: that of a round cut of 2 % of the area
 
 
 @checked
@@ -154,8 +154,8 @@ class Match(Rebuilt):
     genera : (int, int) or None, optional
         Handles of source and target, holes being closed. None if one is a cloud, or not manifold.
     rims : (float, float), default (0.0, 0.0)
-        How long the rim of one round hole is, at unit area, that leaves out as much as all holes of
-        source and target do.
+        How long the rim of one round hole is, at unit area, across which as much is cut off as
+        across all holes of source and target. Gaps in a wall, which they lie in, do not count.
     landmark_distances : ndarray of shape (l,), optional
         How far the map by itself leads from each landmark, at unit area; None without landmarks.
     lost_from : float
@@ -243,11 +243,12 @@ class Match(Rebuilt):
 
         A logistic of score, tears, margin and coverage, fitted to `match` of bodies (FAUST, SCAPE)
         and animals (SMAL, TOSCA), and of bodies with animals: of other kinds of shapes, and of
-        parts (`covered`), it is a guess. Doubts about orientation and genera lower its odds to a
-        fiftieth each; maps that are `alike` have equal shares of it; and so much of it is lost as
-        of the landmarks. An only candidate, as of a collection or of an `initial` map, has as much
-        as if a rival scored as well: it tells how well the map fits, not that no other would, so
-        that of an `initial` map that is turned is near 1 on a round surface. Where a collection
+        parts (`covered`), it is a guess. Doubts about orientation lower its odds to a
+        fiftieth, about genera to a fifth; maps that are `alike` have equal shares of it; and so
+        much of it is lost as of the landmarks. An only candidate, as of a collection or of an
+        `initial` map, has as much as if a rival scored as well: it tells how well the map fits, not
+        that no other would, so that of an `initial` map that is turned is near 1 on a round
+        surface. Where a collection
         leaves two surfaces `unconnected`, it is half as much; where `rims` say that what one has
         the other may lack, a third. It does not see other symmetries: of a surface that is one with
         itself turned or mirrored, a wrong map looks like a right one. See `ambiguous`.
@@ -258,7 +259,7 @@ class Match(Rebuilt):
             discontinuity=self.discontinuity,
             margin=margin,
             coverage=self.coverage,
-            against=len({"orientation", "genera"} & set(self.doubts)),
+            against=self.doubts,
         )
         held = self.landmarks_held
         likely /= (1 + self.alike) * (1 + self.unconnected) * (1 + 2 * ("rims" in self.doubts))

@@ -213,6 +213,15 @@ def local_confidence(found: Match, source: Prepared, target: Prepared) -> Floats
         raise InvalidInputError(
             "found", "map wholes", "a part", advice="`covered` is all that is known of its points"
         )
+    seen = seen_at_points(found, source, target)
+    return confidence_at(found.confidence, *seen.T)[target.closest]
+
+
+def seen_at_points(found: Match, source: Prepared, target: Prepared) -> Floats:
+    """Return how far signatures and curvatures differ, and how stretched edges are, (n, 3).
+
+    Averaged over neighbours, at the points that the target is matched on.
+    """
     p = check_point_map("found", found.point_map, source.whole.n, target.whole.n)
     p = on_matched(source, target, p)
     k = min(source.spectrum.k, target.spectrum.k)
@@ -231,7 +240,7 @@ def local_confidence(found: Match, source: Prepared, target: Prepared) -> Floats
     seen = np.column_stack([wave, curvature, stretch])
     for _ in range(_ROUNDS):
         seen = mean @ seen
-    return confidence_at(found.confidence, *seen.T)[target.closest]
+    return np.asarray(seen)
 
 
 def _biharmonic(spectrum: Spectrum, found: Ints, wanted: Ints) -> float:

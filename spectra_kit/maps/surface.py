@@ -21,6 +21,7 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit.eigen import Spectrum
 from spectra_kit.geodesics.edges import edge_graph
 from spectra_kit.geometry import TriangleMesh
+from spectra_kit.geometry.vectors import sums
 from spectra_kit.operators.oriented import OrientedTriangles
 
 _SHORT = 0.05  # lengths below that, of surfaces at unit area, say little
@@ -144,7 +145,7 @@ class Topology(NamedTuple):
     """Of one connected surface at unit area."""
 
     genus: int | None  # handles, once its holes are closed; None of a cloud, or if not a surface
-    rim: float  # around its holes: 0 of a closed surface, and of a cloud
+    rim: float  # of where it is cut: 0 of a closed surface, and of a cloud
 
 
 def topology_of(surface: Surface) -> Topology:
@@ -152,22 +153,34 @@ def topology_of(surface: Surface) -> Topology:
 
     ``2 - 2 g`` is the number of vertices less that of edges and more that of triangles, once each
     loop of the border is closed by a disc: holes of a scan are no handles. The rim is as long as
-    that of the one round hole that leaves out as much as round ones of those lengths do together:
-    its square is the sum of theirs, as many small holes are no cut.
+    that of the one round hole that is as wide as all of them together, by the vector areas of the
+    loops: raggedness does not count. Where the surface around a hole faces as the hole does, it is
+    a gap in a wall and not the end of what was cut off: it counts the less by the cosine, not at
+    all in a plane.
     """
     if not surface.is_mesh:
         return Topology(None, 0.0)
-    faces, n = surface.oriented.faces, len(surface.points)
-    edges, uses = surface.mesh.unique_edges
-    border = edges[uses == 1]
-    graph = sparse.coo_array((np.ones(len(border)), border.T), shape=(n, n))
-    hole = connected_components(graph, directed=False)[1][border[:, 0]]
-    around = np.bincount(hole, lengths_of(surface.points, border), minlength=1)
-    rim = float(np.linalg.norm(around))
-    met = np.bincount(border.ravel(), minlength=n)
+    points, faces, n = surface.points, surface.oriented.faces, len(surface.points)
+    _, edge, uses = np.unique(  # of each triangle its three sides, in its own sense
+        np.sort(sides := faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1),
+        axis=0, return_counts=True, return_inverse=True,
+    )  # fmt: skip
+    border = np.flatnonzero(uses[edge.ravel()] == 1)
+    a, b = sides[border].T
+    graph = sparse.coo_array((np.ones(len(a)), (a, b)), shape=(n, n))
+    holes, hole = np.unique(connected_components(graph, directed=False)[1][a], return_inverse=True)
+    areas = sums(hole, np.cross(points[b], points[a]) / 2, len(holes))
+    lengths = lengths_of(points, sides[border])
+    i, j, k = faces[border // 3].T
+    normals = unit_rows(np.cross(points[j] - points[i], points[k] - points[i]))
+    around = sums(hole, normals * lengths[:, None], len(holes))
+    around /= np.maximum(np.bincount(hole, lengths, len(holes)), 1e-300)[:, None]
+    wide = np.linalg.norm(areas, axis=1) - np.einsum("hr,hr->h", areas, around)
+    rim = float(np.sqrt(4 * np.pi * wide.sum()))
+    met = np.bincount(sides[border].ravel(), minlength=n)
     if uses.max() > 2 or not np.isin(met, (0, 2)).all():
         return Topology(None, rim)
-    euler = len(np.unique(faces)) - len(edges) + len(faces) + int(np.count_nonzero(around))
+    euler = len(np.unique(faces)) - len(uses) + len(faces) + len(holes)
     return Topology((2 - euler) // 2 if euler % 2 == 0 else None, rim)
 
 

@@ -307,7 +307,10 @@ def test_confidence_falls_with_all_that_speaks_against_a_map() -> None:
     bad = {"score": 0.6, "discontinuity": 0.08, "margin": 1.0, "coverage": 1.0}
     best, worst = confidence_of(**good), confidence_of(**bad)
     assert 0 <= worst < 0.5 < best <= 1
-    assert confidence_of(**good, against=1) < best
+    assert confidence_of(**good, against=["genera", "rims"]) < best
+    assert confidence_of(**good, against=["orientation"]) < confidence_of(
+        **good, against=["genera"]
+    )
     for name, value in bad.items():
         assert worst < confidence_of(**{**good, name: value}) < best
     sure = confidence_of(**{**good, "margin": np.inf})

@@ -144,6 +144,10 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         **{"margin": 2.0, "mirror_margin": 2.0, "consistent": 1.0, "coverage": 1.5},
         **{"discontinuity": 0.0, "candidates": (candidate,)},
     )
+    by_parts = maps.ComponentMatch(
+        **{"point_map": same, "partner": np.zeros(1, int), "matches": {(0, 0): found}},
+        **{"confidence": np.ones(1)},
+    )
     panel = show.Panel(values=mesh.points[:, 0], limit=1.0)
     map_errors = maps.MapErrors(np.ones(n), same)
     given = subspaces.GivenBasis(spectrum.eigenvectors)
@@ -195,7 +199,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         *(sk.eigen.ModeCount(verified=3, radius=0.1, floor=2.0), maps.Truth(same, same)),
         *(geometry.sample_with_origin(mesh, 50, seed=0), geometry.Normalization.unit_box(mesh)),
         *(geometry.Problem(1, "a hole", "mend it"), geodesics.FacePoint(0, (1.0, 0.0, 0.0))),
-        *(collected, collection, found, tetrahedra, maps.Carrier(mesh, mesh, same)),
+        *(collected, collection, found, by_parts, tetrahedra, maps.Carrier(mesh, mesh, same)),
         subspaces.canonical_frame(mesh.points, spectrum.mass),
         maps.precise_map(spectrum, spectrum, identity, mesh.faces),
     )
@@ -355,7 +359,10 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("samples cap animate_modes.width", 100),
         ("sample.n sample_with_origin.n", 50),
         ("max_iterations Prepared.truncate.k", 35),
-        ("match.options match_collection.options match_part.options", quick),
+        (
+            "match.options match_collection.options match_part.options match_components.options",
+            quick,
+        ),
         ("k_final", 24),
         ("k_start zoomout_many.k_final", 10),
         ("creature.n_points creature_pair.n_source n_target", 520),

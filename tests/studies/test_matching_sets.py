@@ -3,17 +3,21 @@
 import numpy as np
 import pytest
 from conftest import bumpy, creature
+from scipy.spatial import cKDTree
 from studies.matching.sets import (
     USUAL,
     PairSet,
     Protocol,
     make_protocol,
     pair_sets,
-    triangulated_sets,
+    remade_sets,
 )
+from studies.matching.spoilings import SPOILINGS, holes
 from studies.matching.subjects import LACKING, Subject, demo_subjects, truth_between
-from studies.matching.triangulations import TRIANGULATIONS, finer, rounding, triangulated
+from studies.matching.triangulations import TRIANGULATIONS, finer, remade, rounding
+from studies.shapes import mean_edge
 
+import spectra_kit as sk
 from spectra_kit import TriangleMesh
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import PointCloud, components, torus
@@ -92,7 +96,7 @@ def animal():
 
 @pytest.fixture(scope="module")
 def made(animal):
-    return {kind: triangulated(animal, kind, seed=3) for kind in TRIANGULATIONS}
+    return {kind: remade(animal, kind, TRIANGULATIONS, seed=3) for kind in TRIANGULATIONS}
 
 
 def test_they_are_one_surface_with_its_landmarks(animal, made):
@@ -123,7 +127,7 @@ def test_landmarks_of_what_is_cut_off_are_lost(animal, monkeypatch):
         return TriangleMesh(mesh.points, kept).without_unreferenced()
 
     monkeypatch.setitem(TRIANGULATIONS, "cut", cut)
-    made = triangulated(animal, "cut")
+    made = remade(animal, "cut", TRIANGULATIONS)
     far = animal.mesh.points[animal.landmarks, 2] < low - np.sqrt(animal.mesh.area / animal.mesh.n)
     assert far.any()
     assert (made.landmarks[far] == LACKING).all()
@@ -200,7 +204,7 @@ def test_pairs_come_in_all_triangulations(animal):
     subjects = {**demo_subjects(600, poses=2), "ring": ring("ring")}
     pairs = (("creature0", "ring"), ("creature0", "creature1"), ("creature1", "creature0"))
     zoo = PairSet("zoo", subjects, Protocol("random", pairs))
-    sets = triangulated_sets(zoo, count=1)
+    sets = remade_sets(zoo, TRIANGULATIONS, count=1)
     assert [one.name for one in sets] == [
         f"zoo-{kind.replace(' ', '_')}" for kind in TRIANGULATIONS
     ]
@@ -210,13 +214,75 @@ def test_pairs_come_in_all_triangulations(animal):
         assert source == "creature0"
         assert target == one.name.replace("zoo", "creature1")
         assert set(one.subjects) == {source, target}
-        assert one.note.endswith("as marching cubes change their topology: ring")
+        assert one.note.endswith("as they cannot be made so: ring")
     assert "0.00 away" in sets[0].note
 
 
 def test_a_surface_that_grows_together_is_refused():
     with pytest.raises(InvalidInputError, match="`mesh` must keep its topology in marching cubes"):
-        triangulated(ring("ring"), "marching cubes")
+        remade(ring("ring"), "marching cubes", TRIANGULATIONS)
     rings = PairSet("rings", {"a": ring("a")}, Protocol("random", (("b", "a"),)))
-    with pytest.raises(InvalidInputError, match="hold a target that keeps its topology"):
-        triangulated_sets(rings, count=1)
+    with pytest.raises(InvalidInputError, match="hold a target of which all can be made"):
+        remade_sets(rings, TRIANGULATIONS, count=1)
+
+
+# --- spoiled ---
+
+
+def euler(mesh):
+    return mesh.n - len(mesh.unique_edges[0]) + len(mesh.faces)
+
+
+def test_what_touches_grows_together():
+    """A bar that is bent to a ring whose ends nearly meet becomes a ring."""
+    n, around = 120, 24
+    turn = np.linspace(0.03, 2 * np.pi - 0.03, n)[:, None]
+    about = np.linspace(0, 2 * np.pi, around, endpoint=False)[None]
+    far = 1 + 0.25 * np.cos(about)
+    side = np.stack([far * np.cos(turn), far * np.sin(turn), 0.25 * np.sin(about) + 0 * turn], -1)
+    ends = np.stack([[np.cos(t), np.sin(t), 0.0] for t in turn[[0, -1], 0]])
+    i, j = np.meshgrid(np.arange(n - 1), np.arange(around), indexing="ij")
+    a, b = i * around + j, i * around + (j + 1) % around
+    sides = np.concatenate(
+        [np.stack(t, -1).reshape(-1, 3) for t in ((a, a + around, b), (b, a + around, b + around))]
+    )
+    rim, last = np.arange(around), (n - 1) * around
+    caps = [[p, (p + 1) % around, n * around] for p in rim]
+    caps += [[last + (p + 1) % around, last + p, n * around + 1] for p in rim]
+    bar = TriangleMesh(np.vstack([side.reshape(-1, 3), ends]), np.vstack([sides, caps]))
+    assert euler(bar) == 2
+    made = SPOILINGS["merged"](bar, np.random.default_rng(0))
+    assert euler(made) == 0
+    assert len(components(made)) == 1
+    assert made.area == pytest.approx(bar.area, rel=0.05)
+    with pytest.raises(InvalidInputError, match="have parts that touch"):
+        SPOILINGS["merged"](sk.geometry.sphere(subdivisions=3).geometry, np.random.default_rng(0))
+
+
+def test_each_spoiling_is_what_it_says(animal):
+    mesh, edge = animal.mesh, mean_edge(animal.mesh)
+    made = {kind: remade(animal, kind, SPOILINGS, seed=1) for kind in SPOILINGS if kind != "merged"}
+    assert made["clean"].mesh is mesh
+    for share in (5, 15, 30):
+        left = made[f"holes {share} %"].mesh
+        assert left.area < (1 - 0.005 * share) * mesh.area  # what they leave may fall off too
+        assert len(components(left)) == 1
+        assert len(left.boundary_vertices)
+    assert made["ragged rims"].mesh.area > 0.85 * mesh.area
+    smooth = holes(mesh, np.random.default_rng(1), share=0.02)
+    assert len(made["ragged rims"].mesh.boundary_vertices) > len(smooth.boundary_vertices)
+    assert made["cut 30 %"].mesh.area < 0.75 * mesh.area
+    moved = made["noise"].mesh.points - mesh.points
+    assert np.sqrt((moved**2).sum(axis=1).mean()) == pytest.approx(0.5 * edge, rel=0.05)
+    areas = made["uneven"].mesh.face_areas
+    assert np.percentile(areas, 90) > 2.5 * np.percentile(areas, 25)
+    assert made["uneven"].mesh.n == pytest.approx(mesh.n, abs=3)
+    faces = made["turned faces"].mesh.faces
+    assert (faces != mesh.faces).any(axis=1).sum() == len(faces) // 100
+    seen = {views: made[f"scan, {views} views"] for views in (2, 4)}
+    for scan in seen.values():
+        fine = finer(mesh, 20 * mesh.n).points
+        apart, _ = cKDTree(fine).query(scan.geometry.points)
+        assert 0.05 * edge < apart.mean() < edge  # near the surface, and not on it
+    lost = {views: (scan.landmarks == LACKING).mean() for views, scan in seen.items()}
+    assert lost[2] > lost[4]

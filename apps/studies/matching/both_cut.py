@@ -22,13 +22,13 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from spectra_kit._core.types import Bools, Floats
 from spectra_kit.errors import DoubtfulMatchWarning
 from spectra_kit.geodesics import edge_graph, pair_distances
-from spectra_kit.geometry import TriangleMesh
 from spectra_kit.maps import Match, match, match_part
 from studies.machine import describe_machine
 from studies.matching.parts import KINDS, REFERENCE, cut_pairs, left_of, overlap, part_of
 from studies.matching.region_pairs import Answer, match_region_pairs
 from studies.matching.subjects import Subject
 from studies.report import Table, write_report
+from studies.shapes import vertex_areas
 from studies.store import Record, Store
 from studies.study import Result, Study, run
 
@@ -104,12 +104,6 @@ def both_landmarks(reference: Subject, cut: BothCut) -> tuple[Bools, Bools]:
         shared = mass[one & other].sum() / smaller
         if smaller > 0.3 and (cut.kind == "disjoint" or abs(shared - wanted) < 0.03):
             return one[reference.landmarks], other[reference.landmarks]
-
-
-def vertex_areas(mesh: TriangleMesh) -> Floats:
-    """Return a third of the area of the triangles around each vertex, (n,)."""
-    thirds = np.repeat(mesh.face_areas / 3, 3)
-    return np.bincount(mesh.faces.ravel(), thirds, mesh.n).astype(np.float64)
 
 
 # --- the study ---

@@ -5,6 +5,7 @@ r"""Match sets of shapes whose correspondence is known, and measure the maps.
     python apps/studies/run.py matching OUT --data smal_r --protocol random --pairs 60
     python apps/studies/run.py matching OUT --data tosca_r --only cat
     python apps/studies/run.py matching OUT --data faust_r --triangulations --pairs 5
+    python apps/studies/run.py matching OUT --data faust_r --spoilings --pairs 10
     python apps/studies/run.py matching OUT --backends exact neo
     python apps/studies/run.py matching OUT --methods match pyfm --pyfm-python other/python
     python apps/studies/run.py matching OUT --protocol ren-300
@@ -18,7 +19,8 @@ random pairs are matched, of smal_r and scape_a all, of tosca_r all within a cla
 with a truth; --protocol and --pairs say otherwise.
 
 With --triangulations the targets are made anew in six ways: as they are, with anisotropic
-triangles, simplified by quadrics, dense, by marching cubes, and as a cloud.
+triangles, simplified by quadrics, dense, by marching cubes, and as a cloud. With --spoilings they
+are spoiled: parts that touch grown together, holes, cuts, noise, faces turned over, scans.
 
 Errors are geodesic distances along the edges of the source, or exact ones, in hundredths of the
 root of its area. *Mean*, *median*, *worst* pair, *over 8* (share of pairs: they are wrong) and
@@ -29,6 +31,9 @@ pairs with a confidence below 0.5, or called ambiguous where none is told. Secon
 one pair, spectra given; a pair has one thread, and pairs side by side share the machine. *Of
 exact*: times the mean error with exact spectra; *of the plain set*: times that of the set that it
 is made of.
+
+*Confidence* is the median; its table counts the maps, and points, of each confidence that were
+right, within 8: as shipped, and of pairs of one half of the shapes as fitted to those of the other.
 
 *Flipped*: pairs with left for right, whose mean symmetric error is lower than the direct one by
 more than a margin; *partly*: others where the smaller error at each correspondence (*either*) is
@@ -55,6 +60,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from spectra_kit._core.threads import usable_cores
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import PointCloud
 from spectra_kit.maps import FLIP_MARGIN, MapErrors, geodesic_errors
 from spectra_kit.show import MatchedPair, Page, View, plot_correspondences
@@ -67,9 +73,12 @@ from studies.matching.sets import (
     Protocol,
     demo_set,
     pair_sets,
-    triangulated_sets,
+    remade_sets,
 )
+from studies.matching.spoilings import SPOILINGS
 from studies.matching.subjects import truth_between
+from studies.matching.triangulations import TRIANGULATIONS
+from studies.matching.trust import COLUMNS, trust
 from studies.report import Table, ratio, unless_missing, write_report
 from studies.store import Record
 from studies.study import Result, measured_by
@@ -81,7 +90,7 @@ DEFAULT = next(iter(METHODS))
 BAD = 8.0
 #: Maps with less confidence are doubted.
 DOUBT = 0.5
-_FEW = 5  # pairs in six triangulations, where no other number is asked for
+_FEW = 5  # pairs of what is made anew, where no other number is asked for
 _ALL = 10**9  # pairs to draw these from
 _WORST = 3  # pairs of a set that are drawn, beside the best and the median
 
@@ -92,14 +101,24 @@ def options(parser: argparse.ArgumentParser) -> None:
         help="folders, or names of sets in $SPECTRA_KIT_DATA (default: faust_r)")  # fmt: skip
     add("--demo", action="store_true", help="a demo animal in four poses instead, 12 pairs")
     add("--only", nargs="+", default=(), metavar="PREFIX", help="subjects whose names begin so")
-    add("--triangulations", action="store_true", help="the targets in six triangulations")
+    made = parser.add_mutually_exclusive_group()
+    made.add_argument(
+        "--triangulations",
+        action="store_const",
+        dest="makers",
+        default={},
+        const=TRIANGULATIONS,
+        help="the targets in six triangulations",
+    )
+    made.add_argument("--spoilings", action="store_const", dest="makers",
+        const=SPOILINGS, help="the targets spoiled as scans are")  # fmt: skip
     add(
         "--protocol",
         choices=list(PROTOCOLS),
         help="which pairs, and which errors count (default: what is usual for each set)",
     )
-    add("--pairs", type=int, metavar="N",
-        help="draw N of each set (random: 100; triangulations: 5; others: all)")  # fmt: skip
+    add("--pairs", type=int, nargs="+", metavar="N",
+        help="draw N of each set, or its N of each (random: 100; anew: 5; else all)")  # fmt: skip
     add("--seed", type=int, default=0, help="of the draw (%(default)s)")
     add("--pair-list", type=Path, help="of ren-300 (default: ren_pairs.txt in each set)")
     add("--backends", nargs="+", choices=list(BACKENDS), default=["exact"], metavar="NAME",
@@ -166,21 +185,31 @@ def _matched(pair_set: PairSet, args: argparse.Namespace) -> Matched:
 
 def _sets(args: argparse.Namespace) -> list[PairSet]:
     """Return the sets that are asked for."""
+    counts = args.pairs or [None]
+    if len(counts) not in (1, len(args.data)):
+        raise InvalidInputError("pairs", f"be one number, or {len(args.data)}, one a set", counts)
     if args.demo:
-        sets = [demo_set(None if args.triangulations else args.pairs)]
+        sets = [demo_set(None if args.makers else counts[0])]
     else:
-        sets = pair_sets(
-            args.data,
-            protocol=args.protocol,
-            count=_ALL if args.triangulations else args.pairs,
-            seed=args.seed,
-            only=args.only,
-            listed=args.pair_list,
-        )
-    if not args.triangulations:
+        each = counts * len(args.data) if len(counts) == 1 else counts
+        sets = [
+            one
+            for name, count in zip(args.data, each, strict=True)
+            for one in pair_sets(
+                [name],
+                protocol=args.protocol,
+                count=_ALL if args.makers else count,
+                seed=args.seed,
+                only=args.only,
+                listed=args.pair_list,
+            )
+        ]
+    if not args.makers:
         return sets
-    count = _FEW if args.pairs is None else args.pairs
-    return [made for one in sets for made in triangulated_sets(one, count=count, seed=args.seed)]
+    few = counts[0] or _FEW
+    return [
+        made for one in sets for made in remade_sets(one, args.makers, count=few, seed=args.seed)
+    ]
 
 
 # --- tables ---
@@ -190,7 +219,13 @@ _WHO = {"set": "", "method": ""}
 _ERRORS = {
     **_WHO,
     **{"pairs": "d", "mean": ".2f", "median": ".2f", "worst": ".2f", "over 8": ".0%"},
-    **{"best finalist": ".2f", "doubted wrong": "", "doubted right": "", "s": ".2f"},
+    **{
+        "best finalist": ".2f",
+        "doubted wrong": "",
+        "doubted right": "",
+        "confidence": ".2f",
+        "s": ".2f",
+    },
     **{"CPU s": ".2f", "of exact": ".2f", "of the plain set": ".2f"},
 }
 _KINDS = {
@@ -224,14 +259,17 @@ def report(folder: Path, matched: Sequence[Matched], drawn: Sequence[Path] = ())
         for one in matched
     ]  # fmt: skip
     study = matched[0].study
+    results = [_named(one.set, result) for one in matched for result in one.results]
+    told = [r.record for r in results if r.ok and "score" in r.record]
     return write_report(
         folder,
         "matching",
-        [_named(one.set, result) for one in matched for result in one.results],
+        results,
         [
             Table("Sets", sets, {"set": "", "pairs": "d", "protocol": "", "which": "", "note": ""}),
             Table("Errors", rows, _ERRORS),
             Table("What kind of errors", rows, _KINDS),
+            *([Table("Confidence: right of all", trust(folder, told), COLUMNS)] if told else []),
         ],
         describe_machine(),
         figures=drawn,
@@ -291,6 +329,7 @@ def summarize(records: Sequence[Record], protocol: Protocol) -> Record:
         "partly": sum(partly) if sided else None,
         "doubted wrong": of(True),
         "doubted right": of(False),
+        "confidence": over(statistics.median, "confidence") if chooses else None,
         "s": over(statistics.median, "seconds"),
         "CPU s": over(statistics.median, "cpu_seconds"),
     }

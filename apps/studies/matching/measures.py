@@ -82,6 +82,7 @@ def measure_map(
         "confidence": outcome.confidence,
         "margin": outcome.margin,
         "ambiguous": bool(outcome.ambiguous),
+        **outcome.evidence,
         "seconds": outcome.seconds,
         "cpu_seconds": outcome.cpu_seconds,
         "accuracy": accuracy_curve(errors.direct, THRESHOLDS).tolist(),

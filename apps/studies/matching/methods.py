@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from spectra_kit.errors import InvalidInputError, SpectraKitError
 from spectra_kit.features import normalize_descriptors, wave_kernel_signature
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.maps import FitWeights, fit_functional_map, match, prepare, zoomout
+from spectra_kit.maps.score import seen_at_points
 from spectra_kit.operators.oriented import oriented_triangles
 from studies.matching import pyfm_peer
 from studies.worker import clocked
@@ -46,13 +48,18 @@ class Outcome:
     #: By how much the chosen one was better; NaN where it does not say.
     margin: float = float("nan")
     ambiguous: bool = False  #: Whether it warns that the map may be flipped.
+    #: What confidence is made of, by name, where it tells: see `trust`.
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+    #: (n2, 3): what confidence at points is made of; empty where it does not tell.
+    seen: Floats = field(default_factory=lambda: np.empty((0, 3)))
 
 
 def match_best(source: Side, target: Side) -> Outcome:
     """Match as `maps.match` does by default; the seconds include preparing both sides."""
     with clocked() as clock:
-        prepared = (prepare(side.spectrum, side.geometry) for side in (source, target))
-        found = match(*prepared, k=min(source.spectrum.k, target.spectrum.k))
+        a, b = (prepare(side.spectrum, side.geometry) for side in (source, target))
+        found = match(a, b, k=min(source.spectrum.k, target.spectrum.k))
+    told = "score", "discontinuity", "coverage", "convincing", "doubts", "genera", "rims"
     return Outcome(
         found.point_map,
         clock.seconds,
@@ -61,6 +68,8 @@ def match_best(source: Side, target: Side) -> Outcome:
         confidence=found.confidence,
         margin=found.margin,
         ambiguous=found.ambiguous,
+        evidence={name: getattr(found, name) for name in told},
+        seen=seen_at_points(found, a, b)[b.closest],
     )
 
 

@@ -18,11 +18,11 @@ from spectra_kit.catalogue import SOLVERS, SUBSPACES
 from spectra_kit.eigen import Eigensolver, Spectrum, eigensolve
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.geometry.shapes import distinct_rows
-from spectra_kit.maps import inverse_map
+from spectra_kit.maps import Truth, geodesic_errors, inverse_map
 from spectra_kit.operators import laplacian
 from studies.matching.measures import Geodesics, best_candidate, measure_map
 from studies.matching.methods import METHODS, Side
-from studies.matching.subjects import Subject
+from studies.matching.subjects import Subject, truth_between
 from studies.store import Record, Store
 from studies.study import Result, Study, run
 
@@ -34,6 +34,7 @@ BACKENDS: dict[str, Callable[[str], Eigensolver]] = {
     "neo": lambda weights: SOLVERS["neo"](weights=weights),
     "neo-refined": lambda weights: SOLVERS["refined"](start=SUBSPACES["neo"](weights)),
 }
+_POINTS = 300  # of a pair whose own errors are kept
 _HELD = 8  # spectra in the memory of a process
 
 
@@ -87,7 +88,7 @@ class Spectra(Study[Basis, str]):
 
     def facts(self, contender: Basis, problem: str) -> dict[str, object]:
         return {
-            "subject": self.subjects[problem].digest,
+            "subject": [problem, self.subjects[problem].digest],  # the file has its name
             "kind": contender.kind,
             "solver": _options(contender.backend, self.weights),
             "k": self.k,
@@ -113,7 +114,7 @@ class Pairs(Study[Way, Pair]):
     """Maps between subjects, and their errors."""
 
     name: ClassVar[str] = "pair"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     fresh: ClassVar[bool] = False
 
     spectra: Spectra  #: Of all subjects.
@@ -177,7 +178,18 @@ class Pairs(Study[Way, Pair]):
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_path(path) as part:
             np.save(part, outcome.point_map.astype(np.int32))
-        return {**measured, "files": [str(path.relative_to(self.folder))]}
+        files = [path]
+        if len(outcome.seen):
+            files.append(path.with_suffix(".points.npz"))
+            truth = truth_between(source, target)
+            some = np.linspace(0, len(truth.source) - 1, min(_POINTS, len(truth.source))).astype(
+                int
+            )
+            truth = Truth(truth.source[some], truth.target[some])
+            errors = geodesic_errors(source.mesh, outcome.point_map, truth)
+            with atomic_path(files[1]) as part:
+                np.savez(part, seen=outcome.seen[point_2[truth.target]], errors=errors)
+        return {**measured, "files": [str(file.relative_to(self.folder)) for file in files]}
 
 
 def ways(

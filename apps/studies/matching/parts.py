@@ -3,6 +3,7 @@ r"""Match FAUST bodies without an arm, a leg or the lower half against other per
     python apps/studies/run.py parts OUT                  # 60 pairs of bodies 40-79
     python apps/studies/run.py parts OUT --persons 0 2 --pairs 9
     python apps/studies/run.py parts OUT --both 20        # both bodies of a pair are cut
+    python apps/studies/run.py parts OUT --scenes 10      # several bodies, part by part
 
 Errors are those of all landmarks that both bodies have left, found covered or not, along edges of
 the uncut body, in hundredths of the root of its area; overlaps are of what is covered with what is
@@ -195,9 +196,11 @@ class Parts(Study[str, CutPair]):
 def options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--data", type=Path, help="default: $SPECTRA_KIT_DATA/faust_r")
+    add("--animals", type=Path, help="of scenes; default: $SPECTRA_KIT_DATA/smal_r")
     add("--persons", type=int, nargs="+", default=[4, 5, 6, 7], metavar="P")
     add("--pairs", type=int, default=60, metavar="N")
     add("--both", type=int, metavar="N", help="cut both bodies, and add N pairs that share nothing")
+    add("--scenes", type=int, metavar="N", help="match scenes of several bodies instead, N pairs")
     names = "match", "match_part", "region_pairs"
     add("--by", nargs="+", choices=names, help="where both are cut; default: all")
     add("--seed", type=int, default=0, help="of the draw (%(default)s)")
@@ -206,6 +209,11 @@ def options(parser: argparse.ArgumentParser) -> None:
 def measure(args: argparse.Namespace) -> bool:
     """Match and report; return whether there is a result."""
     subjects = subjects_in(given_folder(args.data, "faust_r"))
+    if args.scenes is not None:
+        from studies.matching.scenes import measure_scenes
+
+        animals = subjects_in(given_folder(args.animals, "smal_r"))
+        return measure_scenes(args, {**subjects, **animals})
     if args.both is not None:
         from studies.matching.both_cut import measure_both
 

@@ -14,7 +14,7 @@ from spectra_kit._core.validate import check_count
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.show.camera import Up
 from studies.matching.subjects import LACKING, Subject, demo_subjects, subjects_in
-from studies.matching.triangulations import TRIANGULATIONS, rounding, triangulated
+from studies.matching.triangulations import REFUSE, Maker, named, remade, rounding
 from studies.shapes import data_folder
 
 # --- which pairs ---
@@ -27,9 +27,11 @@ PROTOCOLS = {
     "all-pairs": "all ordered pairs, without self pairs",
     "ren-300": f"the pairs listed by Ren et al. 2018 as far as present{_SMALLER}",
     "same-class": "ordered pairs within each class, without self pairs",
+    "halves": "ordered pairs within each class and each half of the shapes, every second by name",
     "given": "the pairs whose truth comes with the set",
 }
 _SYMMETRIC = ("ren-300",)
+_WITHIN = ("same-class", "halves")  # protocols of pairs within a class
 _RANDOM = 100  # pairs, where no other number is asked for
 
 
@@ -53,6 +55,7 @@ def make_protocol(
     count: int | None = None,
     seed: int = 0,
     listed: Path | None = None,
+    one_class: bool = False,
 ) -> Protocol:
     """Choose the pairs, of subjects in the order that random ones are drawn from.
 
@@ -68,10 +71,12 @@ def make_protocol(
         present = {subject.name for subject in everyone}
         pairs = [(b, one.name) for one in everyone for b in one.images if b in present]
     else:
+        half = halves(subject.name for subject in everyone)
         pairs = [
             (a.name, b.name)
             for a, b in itertools.permutations(everyone, 2)
-            if name != "same-class" or a.species == b.species
+            if (name not in _WITHIN or one_class or a.species == b.species)
+            and (name != "halves" or half[a.name] == half[b.name])
         ]
     if not pairs:
         raise InvalidInputError(
@@ -85,6 +90,11 @@ def make_protocol(
         order = rng.permutation(len(pairs))[: check_count("count", count, low=1)]
         pairs = [pairs[i] for i in order]
     return Protocol(name, tuple(pairs))
+
+
+def halves(names: Iterable[str]) -> dict[str, int]:
+    """Return the half, 0 or 1, that each name is of: every second."""
+    return {name: i % 2 for i, name in enumerate(sorted(names))}
 
 
 def _listed(path: Path | None) -> _Listed:
@@ -169,6 +179,7 @@ def pair_sets(
             count=count,
             seed=seed,
             listed=listed or folder / "ren_pairs.txt",
+            one_class=name in _ONE_CLASS,
         )
         used = {name for pair in made.pairs for name in pair}
         sets[name] = PairSet(
@@ -177,36 +188,39 @@ def pair_sets(
     return list(sets.values())
 
 
-def triangulated_sets(pairs: PairSet, *, count: int, seed: int = 0) -> list[PairSet]:
-    """Return the first `count` pairs six times, the target in each of `TRIANGULATIONS`.
+def remade_sets(
+    pairs: PairSet, makers: Mapping[str, Maker], *, count: int, seed: int = 0
+) -> list[PairSet]:
+    """Return the first `count` pairs many times, the target as each of the makers makes it.
 
-    Pairs whose target changes its topology in marching cubes are passed over.
+    The first of these returns it as it is. Pairs whose target one of them refuses are passed over:
+    it changes its topology in marching cubes, or no parts of it touch.
     """
     check_count("count", count, low=1)
     kept: list[tuple[str, str]] = []
     made: dict[str, dict[str, Subject]] = {}
-    passed: dict[str, None] = {}
+    passed: dict[str, str] = {}
     for source, target in pairs.protocol.pairs:
         if target not in made and target not in passed:
             try:
                 made[target] = {
-                    kind: triangulated(pairs.subjects[target], kind, seed=seed)
-                    for kind in reversed(TRIANGULATIONS)  # marching cubes may refuse, early
+                    kind: remade(pairs.subjects[target], kind, makers, seed=seed)
+                    for kind in sorted(makers, key=lambda kind: kind not in REFUSE)
                 }
-            except InvalidInputError:
-                passed[target] = None
+            except InvalidInputError as refused:
+                passed[target] = str(refused)
         if target in made:
             kept.append((source, target))
         if len(kept) == count:
             break
     if not kept:
         raise InvalidInputError(
-            "pairs", "hold a target that keeps its topology in marching cubes", list(passed)
+            "pairs", "hold a target of which all can be made", next(iter(passed.values()))
         )
     targets = dict.fromkeys(target for _, target in kept)
     sets = []
-    for kind in TRIANGULATIONS:
-        named = [(source, made[target][kind].name) for source, target in kept]
+    for kind in makers:
+        names = [(source, made[target][kind].name) for source, target in kept]
         subjects = {source: pairs.subjects[source] for source, _ in kept}
         subjects |= {made[target][kind].name: made[target][kind] for target in targets}
         off = [rounding(pairs.subjects[target], made[target][kind]) for target in targets]
@@ -214,14 +228,14 @@ def triangulated_sets(pairs: PairSet, *, count: int, seed: int = 0) -> list[Pair
         note = f"the points of landmarks are {np.mean(off):.2f} away from them on average"
         note += f" (without {np.mean(lost):.1%} that are lost)" if any(lost) else ""
         if passed:
-            note += f"; passed over, as marching cubes change their topology: {', '.join(passed)}"
+            note += f"; passed over, as they cannot be made so: {', '.join(passed)}"
         sets.append(
             PairSet(
-                f"{pairs.name}-{kind.replace(' ', '_')}",
+                named(pairs.name, kind),
                 subjects,
-                Protocol(pairs.protocol.name, tuple(named)),
+                Protocol(pairs.protocol.name, tuple(names)),
                 note,
-                against=f"{pairs.name}-isotropic",
+                against=named(pairs.name, next(iter(makers))),
                 up=pairs.up,
             )
         )

@@ -8,7 +8,8 @@ it is.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping
 
 import igl
 import numpy as np
@@ -23,6 +24,9 @@ from spectra_kit.maps.surface import outward_normals
 from spectra_kit.operators.oriented import oriented_triangles
 from studies.matching.subjects import LACKING, Subject
 from studies.shapes import loop_subdivided, mean_edge
+
+#: Makes something of the mesh of a body, with a generator.
+Maker = Callable[[TriangleMesh, np.random.Generator], Geometry]
 
 _TURN = 0.1  # of the root of the area: what a turn by one radian counts like, anisotropic
 _CUBES = 2  # vertices of marching cubes for one of the body: fewer lose the fingers
@@ -44,7 +48,7 @@ def anisotropic(mesh: TriangleMesh, rng: np.random.Generator) -> TriangleMesh:
     fine = dense(mesh, rng)
     normals = outward_normals(fine.points, oriented_triangles(fine))
     rows = np.hstack([fine.points, _TURN * np.sqrt(fine.area) * normals])
-    moved, faces, *_ = igl.decimate(*_columns(rows, fine.faces), 2 * mesh.n)
+    moved, faces, *_ = igl.decimate(*columns(rows, fine.faces), 2 * mesh.n)
     back = np.ascontiguousarray(moved[:, :3])
     _, _, placed = igl.point_mesh_squared_distance(back, fine.points, fine.faces)
     return TriangleMesh(placed, faces)
@@ -53,7 +57,7 @@ def anisotropic(mesh: TriangleMesh, rng: np.random.Generator) -> TriangleMesh:
 def quadric(mesh: TriangleMesh, rng: np.random.Generator) -> TriangleMesh:
     """Simplify the dense mesh by quadrics: large triangles where it is flat."""
     fine = dense(mesh, rng)
-    points, faces, *_ = igl.qslim(*_columns(fine.points, fine.faces), 2 * mesh.n)
+    points, faces, *_ = igl.qslim(*columns(fine.points, fine.faces), 2 * mesh.n)
     return TriangleMesh(points, faces)
 
 
@@ -111,7 +115,7 @@ def cloud(mesh: TriangleMesh, rng: np.random.Generator) -> PointCloud:
 
 
 #: Name -> what it makes of a closed mesh with a generator.
-TRIANGULATIONS: dict[str, Callable[[TriangleMesh, np.random.Generator], Geometry]] = {
+TRIANGULATIONS: dict[str, Maker] = {
     "isotropic": isotropic,
     "anisotropic": anisotropic,
     "quadric": quadric,
@@ -121,25 +125,35 @@ TRIANGULATIONS: dict[str, Callable[[TriangleMesh, np.random.Generator], Geometry
 }
 
 
-def triangulated(subject: Subject, kind: str, *, seed: int = 0) -> Subject:
-    """Return a subject in one of `TRIANGULATIONS`, each landmark at the point nearest to it.
+#: Of all makers, those that may refuse a body: they are asked first.
+REFUSE = ("marching cubes", "merged")
+
+
+def remade(subject: Subject, kind: str, makers: Mapping[str, Maker], *, seed: int = 0) -> Subject:
+    """Return a subject as one of the makers makes it, each landmark at the point nearest to it.
 
     ``NAME-KIND`` is its name. A landmark that is farther from the surface than half an edge of the
-    subject is lacking: marching cubes lose fingers.
+    subject, of a cloud a whole one from its points, is lacking: marching cubes lose fingers.
     """
     mesh = subject.mesh
-    made = TRIANGULATIONS[kind](mesh, np.random.default_rng(seed))
-    _, nearest = cKDTree(made.points).query(mesh.points)
+    made = makers[kind](mesh, np.random.default_rng(seed))
+    apart, nearest = cKDTree(made.points).query(mesh.points)
     if isinstance(made, TriangleMesh):
         squares, *_ = igl.point_mesh_squared_distance(mesh.points, made.points, made.faces)
-        nearest = np.where(squares > mean_edge(mesh) ** 2 / 4, LACKING, nearest)
+        apart = 2 * np.sqrt(squares)
+    nearest = np.where(apart > mean_edge(mesh), LACKING, nearest)
     mirrored = subject.mirrored
     return Subject(
-        f"{subject.name}-{kind.replace(' ', '_')}",
+        named(subject.name, kind),
         made,
         nearest[subject.landmarks],
         None if mirrored is None else nearest[mirrored],
     )
+
+
+def named(name: str, kind: str) -> str:
+    """Return the name of what is made of a subject, or of a set, for files."""
+    return f"{name}-{re.sub('[^a-z0-9.]+', '_', kind).strip('_')}"
 
 
 def rounding(subject: Subject, made: Subject) -> float:
@@ -154,6 +168,6 @@ def _euler(mesh: TriangleMesh) -> int:
     return mesh.n - len(mesh.unique_edges[0]) + len(mesh.faces)
 
 
-def _columns(points: Floats, faces: Ints) -> tuple[Floats, Ints]:
+def columns(points: Floats, faces: Ints) -> tuple[Floats, Ints]:
     """Return the arrays as libigl wants them where it changes them."""
     return np.asfortranarray(points), np.asfortranarray(faces.astype(np.int32))
