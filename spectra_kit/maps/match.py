@@ -39,7 +39,13 @@ from spectra_kit.maps.prepare import (
     truncated,
 )
 from spectra_kit.maps.result import DEFAULT, Candidate, Match, MatchOptions, warn_of
-from spectra_kit.maps.score import Pairs, coverage_over_chance, orientation_of, scored
+from spectra_kit.maps.score import (
+    Pairs,
+    coverage_over_chance,
+    orientation_of,
+    scored,
+    unlike_cost,
+)
 from spectra_kit.maps.surface import Surface, clustered, discontinuity, topologies
 from spectra_kit.maps.zoomout import both_ways, many_zoomed
 
@@ -48,7 +54,7 @@ _LANDMARK_ENERGIES = 20  # of the wave kernel signature seen from each landmark
 _SAME = 0.05  # squared difference per mode below which two maps are one
 _RIVAL = 0.15  # the same, below which one is no rival of the other
 _CONTEST = 1.15  # candidates whose scores are within that factor of the best are bent as well
-_CONTENDERS = 4  # how many at most, the best among them
+_CONTENDERS = 6  # how many at most, the best among them
 _RIGID = 8  # candidates that come of laying the source onto the target
 _LAST_STEPS = 3  # from the refined modes to the end
 _ENOUGH = 3  # landmarks: distances that tell a point from all others, but for symmetries
@@ -258,22 +264,24 @@ def matched_from(
 
 
 def _settled(a: Prepared, b: Prepared, candidates: Sequence[Candidate], rounds: int) -> Candidate:
-    """Return the best candidate; where bodies of one kind meet, by how near the bent source comes.
+    """Return the best candidate; of those that score much alike, by what scores do not see.
 
     Of one body in two poses modes can hardly tell the front from the back, but the right map brings
     the source down onto the target, to the spacing of its points. Of two species no map does, and
-    how near one comes tells nothing.
+    how near one comes tells nothing: see `unlike_cost`.
     """
-    best, *others = candidates
-    rivals = [c for c in others if c.score <= _CONTEST * best.score]
-    close = _distinct([best, *rivals], _RIVAL)[:_CONTENDERS]
-    if len(close) == 1 or a.geometry is None or b.geometry is None:
+    best = candidates[0]
+    if a.geometry is None or b.geometry is None:
+        return best
+    rivals = (c for c in candidates if c.score <= _CONTEST * best.score)
+    close = _distinct(rivals, _RIVAL)[:_CONTENDERS]
+    if len(close) == 1:
         return best
     gaps = [_gap(a, b, c, rounds) for c in close]
-    spacing = 1 / np.sqrt(min(a.spectrum.n, b.spectrum.n))  # at unit area
-    if min(gaps) > spacing:
-        return best
-    costs = [c.score * gap**2 for c, gap in zip(close, gaps, strict=True)]
+    if min(gaps) <= 1 / np.sqrt(min(a.spectrum.n, b.spectrum.n)):  # spacing at unit area
+        costs = [c.score * gap**2 for c, gap in zip(close, gaps, strict=True)]
+    else:
+        costs = [unlike_cost(a, b, c) for c in close]
     return close[int(np.argmin(costs))]
 
 

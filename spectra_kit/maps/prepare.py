@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial.distance import cdist
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt
@@ -17,7 +21,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.features import farthest_points, wave_kernel_signature
 from spectra_kit.geometry import Geometry
 from spectra_kit.maps.subsample import Subsample, thinned
-from spectra_kit.maps.surface import Surface, smoothed_mean_curvature
+from spectra_kit.maps.surface import Surface, lengths_of, smoothed_mean_curvature
 from spectra_kit.operators.oriented import area_form, oriented_triangles
 
 MODES = 150  # of a geometry that comes without its spectrum: these match best
@@ -27,6 +31,7 @@ CURVATURE_SCALE = 2.0  # of each curvature beside modes, in the last steps: it c
 FORM_K = 40  # modes of the area form
 _EVEN = 1e-6  # at unit area, a curvature that varies less than that does not vary: a sphere
 _ENDS = 60  # samples from which lengths are measured: the first are the tips of limbs
+_ELSEWHERE = 0.4  # farther than that along a surface is another limb
 _CURVATURES = (80, 40, 20, 10)  # modes whose heat times smooth the curvature, fine to coarse
 
 
@@ -97,6 +102,21 @@ class Prepared(Rebuilt):
     def closest(self) -> Ints:
         """Which of the matched points stands for each of all points."""
         return np.arange(self.spectrum.n) if self.subsample is None else self.subsample.closest
+
+    @cached_property
+    def links(self) -> Ints:
+        """Which samples are neighbours, (l, 2)."""
+        return self.surface.links_between(self.samples)
+
+    @cached_property
+    def twins(self) -> Ints:
+        """Which sample elsewhere looks most like each, (s,): of a left leg, on the right one."""
+        count, wave = len(self.samples), self.wave[self.samples]
+        long = lengths_of(self.surface.points[self.samples], self.links)
+        graph = sparse.csr_array((long, self.links.T), shape=(count, count))
+        here = dijkstra(graph, directed=False, limit=_ELSEWHERE) < _ELSEWHERE
+        unlike: Floats = cdist(wave, wave, "canberra")
+        return np.asarray(np.where(here, np.inf, unlike).argmin(axis=1))
 
     def on_all_points(self) -> Prepared:
         """Return the surface prepared to be matched on all its points, however dense."""

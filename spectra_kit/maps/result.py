@@ -124,8 +124,8 @@ class Match(Rebuilt):
         flipped. None if a geometry is missing.
     margin : float
         Score of the best other candidate of the same orientation over that of the chosen one; below
-        1 if that one leaves more between the bent source and the target. Infinite if no other was
-        found. Maps that differ in small parts do not count.
+        1 if that one leaves more between the bent source and the target, or tears or alters more.
+        Infinite if no other was found. Maps that differ in small parts do not count.
     mirror_margin : float
         Score of the best candidate of the other orientation (mirrored, if the chosen one is not)
         over that of the chosen one; near 1 for bodies whose halves are alike, infinite if there

@@ -24,6 +24,8 @@ _CURVATURES = 2  # of the smoothed ones that are scored, from the finest
 _ROUGH_SAMPLES = 200
 _ORIENTED = 20  # modes whose area forms tell the orientation of a map
 _ROUNDS = 3  # of averaging over neighbours
+_TORN = 3.0  # times as long, or as an average one: a link between samples is torn
+_LEAST_TORN = 0.01  # share that right maps tear as well: less says no more
 _SHORT = 0.3  # of an edge: images nearer than that are at one place
 
 
@@ -157,6 +159,33 @@ def _mismatches(
     return values
 
 
+def unlike_cost(source: Prepared, target: Prepared, candidate: Candidate) -> float:
+    """Return what to choose by between unlike bodies: score, tears, and what looks alike.
+
+    Maps that take a tail for a leg are told from right ones by two things that need no likeness
+    of the bodies. Neighbouring samples of either side stay together. And a point that looks like
+    another elsewhere on its own side, as left legs like right ones and a tail like no leg, has an
+    image that looks as much like the image of that other.
+    """
+    C, k = candidate.functional_map, len(candidate.functional_map)
+    rows1 = source.spectrum.eigenvectors[:, :k] @ C.T
+    rows2 = target.spectrum.eigenvectors[:, :k]
+    back, forth = nearest(rows2[target.samples], rows1), nearest(rows1[source.samples], rows2)
+    both = _torn_and_changed(target, source, back), _torn_and_changed(source, target, forth)
+    torn, altered = np.mean(both, axis=0)
+    return float(candidate.score * np.sqrt(altered) * (torn + _LEAST_TORN) ** 0.25)
+
+
+def _torn_and_changed(here: Prepared, there: Prepared, images: Ints) -> tuple[float, float]:
+    """Return the share of links that are torn, and how far likeness within a side is altered."""
+    points, wave = here.surface.points[here.samples], here.wave[here.samples]
+    long, image = (lengths_of(at, here.links) for at in (points, there.surface.points[images]))
+    torn = (image > _TORN * np.maximum(long, long.mean())).mean()
+    looks, twins = there.wave[images], here.twins
+    altered = np.abs(_differ(looks, looks[twins]) - _differ(wave, wave[twins])).mean()
+    return float(torn), float(altered)
+
+
 def orientation_of(source: Prepared, target: Prepared, functional_map: Floats) -> float | None:
     """Return the orientation of a map: near 1 if it keeps it, near -1 for a mirror image.
 
@@ -259,7 +288,12 @@ def _spacing_error(C: Floats, values1: Floats, values2: Floats) -> float:
 
 def _relative(x: Floats, y: Floats) -> float:
     """Return the mean of |x - y| / (x + y) of positive quantities."""
-    return float((np.abs(x - y) / (x + y + 1e-300)).mean())
+    return float(_differ(x, y).mean())
+
+
+def _differ(x: Floats, y: Floats) -> Floats:
+    """Return the same of each row."""
+    return np.asarray((np.abs(x - y) / (x + y + 1e-300)).mean(axis=1))
 
 
 def _curvature_error(x: Floats, y: Floats) -> float:

@@ -69,6 +69,14 @@ class Surface(Rebuilt):
         ways = dijkstra(edge_graph(self.mesh), directed=False, indices=points)
         return np.asarray(np.minimum(ways, ways[np.isfinite(ways)].max()))
 
+    def links_between(self, points: Ints) -> Ints:
+        """Return which of some points are neighbours, (l, 2): those whose cells meet."""
+        ways = {"directed": False, "min_only": True, "return_predecessors": True}
+        cells = dijkstra(edge_graph(self.mesh), indices=points, **ways)[2][self.edges]
+        order = np.argsort(points)
+        met = np.unique(np.sort(cells[cells[:, 0] != cells[:, 1]], axis=1), axis=0)
+        return np.asarray(order[np.searchsorted(points[order], met)])
+
     @cached_property
     def spacing(self) -> float:
         """Mean length of an edge."""

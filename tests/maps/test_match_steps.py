@@ -4,31 +4,46 @@ from __future__ import annotations
 
 import re
 from ast import literal_eval
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import creature, refused
+from conftest import creature, data_folder, refused
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from test_match import prepared
 
 from spectra_kit import TriangleMesh, robust_laplacian
 from spectra_kit.eigen import eigensolve
-from spectra_kit.geometry import mirrored, permuted, rectangle, sphere
+from spectra_kit.geometry import creature_pair, mirrored, permuted, rectangle, sphere
 from spectra_kit.maps import (
     MatchOptions,
     Prepared,
+    Truth,
     functional_map_from_point_map,
+    geodesic_errors,
+    match,
     prepare,
     score_map,
 )
 from spectra_kit.maps.calibration import score_of
 from spectra_kit.maps.candidates import SAMPLES, bent, rigid_candidates, side_of, sign_candidates
 from spectra_kit.maps.deform import PULL, _bending, _rotations, _weighted_edges, contact
-from spectra_kit.maps.score import coverage_over_chance, orientation_of
-from spectra_kit.maps.surface import Surface, changed, outward_normals, smoothed_mean_curvature
+from spectra_kit.maps.match import Search
+from spectra_kit.maps.nearest import nearest
+from spectra_kit.maps.score import coverage_over_chance, orientation_of, unlike_cost
+from spectra_kit.maps.surface import (
+    Surface,
+    changed,
+    lengths_of,
+    outward_normals,
+    smoothed_mean_curvature,
+)
 from spectra_kit.operators import oriented_triangles
 
 K = 60
+QUICK = MatchOptions(orders=8, growing=32, turns=6, finalists=6)
+ANIMALS = ("dog_alph", "muybridge_132_133_07")
 
 
 @pytest.fixture(scope="module")
@@ -318,6 +333,55 @@ def test_a_wrong_map_has_much_against_it(source) -> None:
     assert max(values.values()) < 1.5
     rotated = np.linalg.qr(np.random.default_rng(6).normal(size=(K, K)))[0]
     assert score_map(source, source, rotated).mismatches["spacing"] > 0.1
+
+
+def test_samples_are_linked_where_their_cells_meet(source) -> None:
+    surface = source.surface
+    every = np.random.default_rng(7).permutation(source.spectrum.n)  # each is its own cell
+    linked = np.unique(np.sort(every[surface.links_between(every)], axis=1), axis=0)
+    np.testing.assert_array_equal(linked, surface.edges)
+    points = surface.points[source.samples]
+    assert len(np.unique(source.links)) == len(points)
+    assert lengths_of(points, source.links).max() < 8 * cKDTree(points).query(points, k=2)[0].max()
+
+
+def test_a_foot_looks_like_another_foot_and_tips_of_tail_and_head_like_nothing() -> None:
+    animal = prepared(creature(2000), K)
+    points, wave = animal.surface.points[animal.samples], animal.wave[animal.samples]
+    twins = points[animal.twins]
+    assert np.linalg.norm(points - twins, axis=1).min() > 0.2  # each is elsewhere
+    unlike = (np.abs(wave - wave[animal.twins]) / (wave + wave[animal.twins])).mean(axis=1)
+    feet = points[:, 2] < points[:, 2].min() + 0.05
+    assert twins[feet, 2].max() < points[:, 2].min() + 0.1
+    assert unlike[[points[:, 0].argmin(), points[:, 0].argmax()]].min() > 1.5 * unlike[feet].max()
+
+
+@pytest.mark.parametrize("seed", [0, 3, 4])
+def test_right_candidates_keep_neighbours_and_what_looks_alike(seed) -> None:
+    one, other, truth = creature_pair(1000, 900, seed=seed)
+    a, b = prepared(one, 100), prepared(other, 100)
+    found = Search(a, b, None, QUICK).candidates(False)
+    errors, costs = [], []
+    for candidate in found:
+        C = candidate.functional_map
+        k = len(C)
+        p = nearest(b.spectrum.eigenvectors[:, :k], a.spectrum.eigenvectors[:, :k] @ C.T)
+        errors.append(np.linalg.norm(a.surface.points[p] - a.surface.points[truth], axis=1).mean())
+        costs.append(unlike_cost(a, b, replace(candidate, score=1.0)))
+    right = np.array(errors) < 0.05
+    assert 0 < right.sum() < len(found)
+    assert max(np.array(costs)[right]) < min(np.array(costs)[~right])
+    itself = replace(found[0], functional_map=np.eye(K), score=1.0)
+    assert unlike_cost(a, a, itself) == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.skipif(data_folder() is None, reason="set SPECTRA_KIT_DATA to the real shapes")
+def test_the_tail_of_a_dog_is_no_leg_of_a_cat() -> None:
+    files = [np.load(data_folder() / "smal_r" / f"{name}.npz") for name in ANIMALS]
+    dog, cat = (TriangleMesh(file["V"], file["F"].astype(np.int64)) for file in files)
+    found = match(dog, cat, mirrored=False)
+    truth = Truth(*(file["corres"] for file in files))
+    assert geodesic_errors(dog, found.point_map, truth).mean() < 6  # by scores alone 19
 
 
 def test_the_orientation_of_a_map(source, copy, image) -> None:
