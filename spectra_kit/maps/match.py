@@ -55,6 +55,7 @@ _SAME = 0.05  # squared difference per mode below which two maps are one
 _RIVAL = 0.15  # the same, below which one is no rival of the other
 _CONTEST = 1.15  # candidates whose scores are within that factor of the best are bent as well
 _CONTENDERS = 6  # how many at most, the best among them
+_MET = 1.1  # spacings that bodies of one kind come near: 1.05 in SCAPE, most species 1.16 and more
 _RIGID = 8  # candidates that come of laying the source onto the target
 _LAST_STEPS = 3  # from the refined modes to the end
 _ENOUGH = 3  # landmarks: distances that tell a point from all others, but for symmetries
@@ -278,7 +279,8 @@ def _settled(a: Prepared, b: Prepared, candidates: Sequence[Candidate], rounds: 
     if len(close) == 1:
         return best
     gaps = [_gap(a, b, c, rounds) for c in close]
-    if min(gaps) <= 1 / np.sqrt(min(a.spectrum.n, b.spectrum.n)):  # spacing at unit area
+    spacing = 1 / np.sqrt(min(a.spectrum.n, b.spectrum.n))  # at unit area
+    if min(gaps) <= _MET * spacing:
         costs = [c.score * gap**2 for c, gap in zip(close, gaps, strict=True)]
     else:
         costs = [unlike_cost(a, b, c) for c in close]
