@@ -13,9 +13,10 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Component, TriangleMesh, components
-from spectra_kit.maps.match import LastSteps, matched_from, searched
+from spectra_kit.maps.match import LastSteps, matched_from
 from spectra_kit.maps.prepare import LOWEST_K, prepared, truncated
 from spectra_kit.maps.result import DEFAULT, Match, MatchOptions
+from spectra_kit.maps.search import searched
 
 _LEAST = 100  # points of a part that can be matched: smaller ones have no partner
 

@@ -29,6 +29,8 @@ _BENDS, _FIRST_BENDS = 2, 8  # in each round, and in the first
 # end. On five pairs of bodies errors fell by 3 per cent, as with five rounds.
 _FINE_ROUNDS = 3
 PULL = 400.0  # weight of the target in bending: rigid below lengths of 1/20
+# The same between unlike bodies, whose trunks and limbs are of other lengths: below 1/40.
+PULL_UNLIKE = 1600.0
 _NORMAL_LENGTH = 0.05  # that a turn of the normal by one radian counts like
 _SHARE = 10_000  # rotations that a thread works out at a time
 _ROOT_STEPS, _ROOT_ERROR = 40, 1e-12  # of Newton's method, which mostly takes a dozen
@@ -52,6 +54,7 @@ def deform(
     rounds: int,
     fine_rounds: int = 0,
     bends: tuple[int, int] = (_FIRST_BENDS, _BENDS),
+    pull: float = PULL,
 ) -> Deformed:
     """Bend the source as rigidly as possible onto the target.
 
@@ -63,8 +66,8 @@ def deform(
     target points; then the nearest in position and normal become the new c.
     """
     start = source.reflected() if mirrored else source
-    bend, rotate = _bending(start, PULL)
-    fine = max(PULL, len(source.points))  # rigid below the spacing of the points
+    bend, rotate = _bending(start, pull)
+    fine = max(pull, len(source.points))  # rigid below the spacing of the points
     tree = cKDTree(rows_of(target.points, target.oriented))
     bent = target.points[way_there]
     for i in range(rounds + fine_rounds):
@@ -110,7 +113,13 @@ def rows_of(points: Floats, oriented: OrientedTriangles) -> Floats:
 
 
 def by_bending(
-    source: Prepared, target: Prepared, way_there: Ints, *, mirrored: bool, rounds: int
+    source: Prepared,
+    target: Prepared,
+    way_there: Ints,
+    *,
+    mirrored: bool,
+    rounds: int,
+    pull: float = PULL,
 ) -> tuple[Ints, Floats, Floats]:
     """Return which source point each target point meets once the source is bent onto the target.
 
@@ -126,6 +135,7 @@ def by_bending(
         mirrored=mirrored,
         rounds=rounds,
         fine_rounds=0 if target.subsample is None else _FINE_ROUNDS,
+        pull=pull,
     )
     points, oriented = bent.points, bent.start.oriented
     if (dense := source.subsample) is not None:

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
 from spectra_kit._core.checked import checked
-from spectra_kit._core.threads import in_threads, single_threaded_blas
+from spectra_kit._core.threads import single_threaded_blas
 from spectra_kit._core.types import Bools, Floats, Ints
 from spectra_kit._core.validate import check_count
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.features import normalize_descriptors, wave_kernel_signature
 from spectra_kit.geometry import Geometry
-from spectra_kit.maps.candidates import bent, rigid_candidates, side_of, sign_candidates
 from spectra_kit.maps.convert import (
     Correspondence,
     at_unit_area,
@@ -25,13 +23,12 @@ from spectra_kit.maps.convert import (
     induced,
     into_triangles,
 )
-from spectra_kit.maps.deform import by_bending, by_modes, contact
-from spectra_kit.maps.fit import Landmarks, check_landmarks, fit_functional_map
+from spectra_kit.maps.deform import PULL, PULL_UNLIKE, by_bending, by_modes, contact
+from spectra_kit.maps.fit import Landmarks, check_landmarks
 from spectra_kit.maps.nearest import nearest
 from spectra_kit.maps.prepare import (
     CURVATURE_SCALE,
     LOWEST_K,
-    REFINED_K,
     Prepared,
     curvatures,
     on_matched,
@@ -43,23 +40,17 @@ from spectra_kit.maps.score import (
     Pairs,
     coverage_over_chance,
     orientation_of,
-    scored,
     unlike_cost,
 )
+from spectra_kit.maps.search import Search, difference, distinct, on_few, on_samples, searched
 from spectra_kit.maps.surface import Surface, clustered, discontinuity, topologies
-from spectra_kit.maps.zoomout import both_ways, many_zoomed
+from spectra_kit.maps.zoomout import both_ways
 
-_SEEN_FROM = 12  # landmarks at most: all are fitted, but the time grows with what each sees
-_LANDMARK_ENERGIES = 20  # of the wave kernel signature seen from each landmark
-_SAME = 0.05  # squared difference per mode below which two maps are one
 _RIVAL = 0.15  # the same, below which one is no rival of the other
 _CONTEST = 1.15  # candidates whose scores are within that factor of the best are bent as well
 _CONTENDERS = 6  # how many at most, the best among them
 _MET = 1.1  # spacings that bodies of one kind come near: 1.05 in SCAPE, most species 1.16 and more
-_RIGID = 8  # candidates that come of laying the source onto the target
 _LAST_STEPS = 3  # from the refined modes to the end
-_ENOUGH = 3  # landmarks: distances that tell a point from all others, but for symmetries
-_SHORT = 0.05  # at unit area: distances from them count by their ratios, but for such short ones
 _FAR = 3.0  # steps between neighbours beyond which a landmark is lost
 _NEAR = 0.05  # the same at unit area, where steps are finer: bending is rigid below that length
 
@@ -181,32 +172,10 @@ def matched(
         found = searched(a, b, mirrored, options, landmarks)
     else:
         with single_threaded_blas():
-            search = Search(a, b, _on_few(a, b, landmarks), options)
+            search = Search(a, b, on_few(a, b, landmarks), options)
             found = [[search.known(on_matched(a, b, initial), mirrored)]]
     given = initial is not None
     return matched_from(a, b, found, last, options, landmarks, initial=given)
-
-
-def searched(
-    a: Prepared,
-    b: Prepared,
-    mirrored: bool | None,
-    options: MatchOptions,
-    landmarks: Pairs | None = None,
-) -> list[list[Candidate]]:
-    """Return the candidates of either orientation, the best first; both have as many modes."""
-    ways = (False, True) if mirrored is None and a.geometry else (bool(mirrored),)
-    with single_threaded_blas():  # small products: the threads are ours
-        search = Search(a, b, _on_few(a, b, landmarks), options)
-        found = in_threads(search.candidates, ((way,) for way in ways))
-    if len(found) == 2 and found[1][0].score * options.mirrored_by < found[0][0].score:
-        found.reverse()
-    return found
-
-
-def _on_few(a: Prepared, b: Prepared, landmarks: Pairs | None) -> Pairs | None:
-    """Return landmarks of all points as those that the surfaces are matched on."""
-    return None if landmarks is None else (a.closest[landmarks[0]], b.closest[landmarks[1]])
 
 
 def matched_from(
@@ -228,15 +197,15 @@ def matched_from(
     seen = a.geometry is not None and b.geometry is not None
     apart, lost_from = None, np.inf
     with single_threaded_blas():
-        chosen = _settled(a, b, found[0], options.rounds)
-        point_map, on_faces = _refined(a, b, chosen, last, options.rounds)
+        chosen, unlike = _settled(a, b, found[0], options.rounds)
+        point_map, on_faces = _refined(a, b, chosen, last, options.rounds, unlike=unlike)
         if landmarks is not None and seen:
             apart, lost_from = _left_by(a.whole_surface, point_map, landmarks)
             point_map, on_faces = _kept(point_map, on_faces, landmarks, apart <= lost_from)
         functional_map = induced(a.whole, b.whole, point_map, last.k, last.k)
     on_few = on_matched(a, b, point_map)
     opposite = [c.score for c in found[-1]] if len(found) == 2 else []
-    rivals = [c.score for c in found[0] if _apart(c, chosen) > _RIVAL]
+    rivals = [c.score for c in found[0] if difference(c, chosen) > _RIVAL]
     others = [c for way in found for c in way if c is not chosen]
     result = Match(
         point_map=point_map,
@@ -264,27 +233,30 @@ def matched_from(
     return result
 
 
-def _settled(a: Prepared, b: Prepared, candidates: Sequence[Candidate], rounds: int) -> Candidate:
+def _settled(
+    a: Prepared, b: Prepared, candidates: Sequence[Candidate], rounds: int
+) -> tuple[Candidate, bool]:
     """Return the best candidate; of those that score much alike, by what scores do not see.
 
     Of one body in two poses modes can hardly tell the front from the back, but the right map brings
     the source down onto the target, to the spacing of its points. Of two species no map does, and
-    how near one comes tells nothing: see `unlike_cost`.
+    how near one comes tells nothing: see `unlike_cost`. Returns also whether there is none.
     """
     best = candidates[0]
     if a.geometry is None or b.geometry is None:
-        return best
+        return best, False
     rivals = (c for c in candidates if c.score <= _CONTEST * best.score)
-    close = _distinct(rivals, _RIVAL)[:_CONTENDERS]
+    close = distinct(rivals, _RIVAL)[:_CONTENDERS]
     if len(close) == 1:
-        return best
+        return best, False
     gaps = [_gap(a, b, c, rounds) for c in close]
     spacing = 1 / np.sqrt(min(a.spectrum.n, b.spectrum.n))  # at unit area
-    if min(gaps) <= _MET * spacing:
-        costs = [c.score * gap**2 for c, gap in zip(close, gaps, strict=True)]
-    else:
+    unlike = min(gaps) > _MET * spacing
+    if unlike:
         costs = [unlike_cost(a, b, c) for c in close]
-    return close[int(np.argmin(costs))]
+    else:
+        costs = [c.score * gap**2 for c, gap in zip(close, gaps, strict=True)]
+    return close[int(np.argmin(costs))], unlike
 
 
 def _gap(a: Prepared, b: Prepared, candidate: Candidate, rounds: int) -> float:
@@ -295,27 +267,24 @@ def _gap(a: Prepared, b: Prepared, candidate: Candidate, rounds: int) -> float:
     return contact(a.surface, b.surface, there, mirrored=mirrored, rounds=rounds).gap
 
 
-def _distinct(candidates: Iterable[Candidate], apart: float) -> list[Candidate]:
-    """Return the candidates by score, without those that all but repeat a better one."""
-    kept = list[Candidate]()
-    for c in sorted(candidates, key=lambda c: c.score):
-        if all(_apart(c, other) > apart for other in kept):
-            kept.append(c)
-    return kept
-
-
 def _refined(
-    a: Prepared, b: Prepared, chosen: Candidate, last: LastSteps, rounds: int
+    a: Prepared, b: Prepared, chosen: Candidate, last: LastSteps, rounds: int, *, unlike: bool
 ) -> tuple[Ints, sparse.csr_array | None]:
-    """Return the map of all points that a candidate is refined to, and the one into triangles."""
+    """Return the map of all points that a candidate is refined to, and the one into triangles.
+
+    Between `unlike` bodies positions hold it to the end, and the source gives way more.
+    """
     k = last.k
-    start = _sharpened(a, b, chosen.functional_map[:k, :k])
+    start = chosen.functional_map[:k, :k]
+    if not unlike:
+        start = _sharpened(a, b, start)
     if not last.elastic or a.geometry is None or b.geometry is None:
         point_map, here, there = by_modes(a, b, _zoomed(a, b, start, k)[0])
     else:
         _, way_there = spectral_map(a, b, start, k)
-        mirrored = chosen.mirrored
-        point_map, here, there = by_bending(a, b, way_there, mirrored=mirrored, rounds=rounds)
+        pull = PULL_UNLIKE if unlike else PULL
+        asked: dict[str, Any] = {"mirrored": chosen.mirrored, "rounds": rounds, "pull": pull}
+        point_map, here, there = by_bending(a, b, way_there, **asked)
     if not last.precise:
         return point_map, None
     return point_map, into_triangles(there, here, a.whole_surface.oriented.faces, point_map)
@@ -330,13 +299,7 @@ def _sharpened(a: Prepared, b: Prepared, functional_map: Floats) -> Floats:
     low, k = LOWEST_K, len(functional_map)
     if a.geometry is None or b.geometry is None or k <= low:
         return functional_map
-    return np.asarray(_on_samples(a, b, functional_map[None, :low, :low], k)[0])
-
-
-def _on_samples(a: Prepared, b: Prepared, maps: Floats, k: int) -> Floats:
-    """Return maps (c, j, j) refined to k modes on the samples of both, (c, k, k)."""
-    rows1, rows2 = (side.spectrum.eigenvectors[side.samples, :k] for side in (a, b))
-    return many_zoomed(rows1, rows2, maps, k, 6)[0]
+    return np.asarray(on_samples(a, b, functional_map[None, :low, :low], k)[0])
 
 
 def spectral_map(a: Prepared, b: Prepared, start: Floats, k: int) -> tuple[Correspondence, Ints]:
@@ -359,75 +322,6 @@ def _zoomed(
     return both_ways(one, other, start, k, step, features), features
 
 
-class Search:
-    """The search for candidates of one pair."""
-
-    def __init__(
-        self, a: Prepared, b: Prepared, landmarks: Pairs | None, options: MatchOptions
-    ) -> None:
-        self._a, self._b, self._landmarks, self._options = a, b, landmarks, options
-        self._fits = [] if landmarks is None else self._fitted(landmarks)
-
-    def candidates(self, mirrored: bool) -> list[Candidate]:
-        """Return the refined candidates that mirror, or those that do not; the best first."""
-        a, b, options = self._a, self._b, self._options
-        effort = {"orders": options.orders, "growing": options.growing}
-        maps = list(sign_candidates(a, b, mirrored=mirrored, **effort))
-        bends = curvatures(a, b) is not None  # else normals tell nothing of who is whom
-        sides = (side_of(a, mirrored=mirrored), side_of(b)) if bends else None
-        if sides is not None:
-            turned = rigid_candidates(*sides, options.turns)
-            laid = (self._scored(C, mirrored, rough=True) for C in turned)
-            maps += [c.functional_map for c in _distinct(laid, _SAME)[:_RIGID]]
-        maps += [fit for fit in self._fits if self._mirrors(fit) == mirrored]
-        grown = _distinct((self._scored(C, mirrored, rough=True) for C in maps), _SAME)
-        starts = [c.functional_map for c in grown[: options.finalists]]
-        if sides is not None:
-            refined = [bent(*sides, C) for C in starts]
-            made = (self._scored(C, mirrored, alignment=distance) for C, distance in refined)
-            return _distinct(made, _SAME)
-        k = min(REFINED_K, a.spectrum.k, b.spectrum.k)
-        zoomed = _on_samples(a, b, np.stack(starts), k)
-        return _distinct((self._scored(C, mirrored) for C in zoomed), _SAME)
-
-    def known(self, point_map: Ints, mirrored: bool | None) -> Candidate:
-        """Return what a map of all points comes to in the refined modes; unrefined."""
-        a, b = self._a.spectrum, self._b.spectrum
-        k = min(REFINED_K, a.k, b.k)
-        C = induced(a, b, point_map, k, k)
-        return self._scored(C, self._mirrors(C) if mirrored is None else mirrored)
-
-    def _mirrors(self, C: Floats) -> bool:
-        return (orientation_of(self._a, self._b, C) or 1.0) < 0
-
-    def _fitted(self, landmarks: Pairs) -> list[Floats]:
-        """Return functional maps that fit the landmarks: by what is seen from them, and how far."""
-        count, every = _LANDMARK_ENERGIES, -(-len(landmarks[0]) // _SEEN_FROM)
-        descriptors = []
-        for side, points in zip((self._a, self._b), landmarks, strict=True):
-            seen = wave_kernel_signature(side.spectrum, count=count, landmarks=points[::every])
-            known = np.hstack([side.wave, seen])
-            descriptors.append(normalize_descriptors(side.spectrum, known))
-        source, target, k = self._a.spectrum, self._b.spectrum, LOWEST_K
-        fits = [fit_functional_map(source, target, *descriptors, k=k, landmarks=landmarks)]
-        if self._a.geometry and self._b.geometry and len(landmarks[0]) >= _ENOUGH:
-            there = _located(self._a.surface, self._b.surface, landmarks)
-            fits.append(induced(source, target, there, k, k))
-        return fits
-
-    def _scored(
-        self, C: Floats, mirrored: bool, *, rough: bool = False, alignment: float | None = None
-    ) -> Candidate:
-        sides, known = (self._a, self._b), self._landmarks
-        return scored(*sides, C, mirrored, known, rough=rough, alignment=alignment)
-
-
-def _apart(c: Candidate, other: Candidate) -> float:
-    """Return the squared difference of two maps, per mode."""
-    C = c.functional_map
-    return float(((C - other.functional_map) ** 2).sum() / len(C))
-
-
 def _prepared(
     name: str, side: Geometry | Spectrum | Prepared, geometry: Geometry | None
 ) -> Prepared:
@@ -438,15 +332,6 @@ def _prepared(
             f"{name}_geometry", f"be left out where `{name}` is no Spectrum", "one"
         )
     return side if isinstance(side, Prepared) else prepared(side)
-
-
-def _located(source: Surface, target: Surface, landmarks: Pairs) -> Ints:
-    """Return the source point as far from all landmarks as each target point is, (n2,)."""
-    here, there = (
-        np.log(side.lengths_from(points) + _SHORT).T
-        for side, points in zip((source, target), landmarks, strict=True)
-    )
-    return nearest(there, here)
 
 
 def _left_by(source: Surface, point_map: Ints, landmarks: Pairs) -> tuple[Floats, float]:

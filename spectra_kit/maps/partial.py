@@ -33,11 +33,12 @@ from spectra_kit.geometry import Geometry, TriangleMesh, largest_component
 from spectra_kit.maps.calibration import CONVINCING_PART
 from spectra_kit.maps.convert import induced
 from spectra_kit.maps.deform import Contact, contact
-from spectra_kit.maps.match import LastSteps, Search, matched, spectral_map
+from spectra_kit.maps.match import LastSteps, matched, spectral_map
 from spectra_kit.maps.nearest import nearest
 from spectra_kit.maps.prepare import LOWEST_K, REFINED_K, Prepared, prepared, truncated
 from spectra_kit.maps.result import DEFAULT, Candidate, Match, MatchOptions
 from spectra_kit.maps.score import coverage_over_chance, orientation_of, scored
+from spectra_kit.maps.search import Search
 from spectra_kit.maps.subsample import neighbours
 from spectra_kit.maps.surface import Surface, discontinuity, topology_of
 from spectra_kit.operators import cotan_laplacian

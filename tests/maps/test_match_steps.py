@@ -29,9 +29,9 @@ from spectra_kit.maps import (
 from spectra_kit.maps.calibration import score_of
 from spectra_kit.maps.candidates import SAMPLES, bent, rigid_candidates, side_of, sign_candidates
 from spectra_kit.maps.deform import PULL, _bending, _rotations, _weighted_edges, contact
-from spectra_kit.maps.match import Search
 from spectra_kit.maps.nearest import nearest
 from spectra_kit.maps.score import coverage_over_chance, orientation_of, unlike_cost
+from spectra_kit.maps.search import Search
 from spectra_kit.maps.surface import (
     Surface,
     changed,

@@ -30,10 +30,11 @@ from spectra_kit.geometry import TriangleMesh
 from spectra_kit.maps import Candidate, MatchOptions, Prepared, prepare
 from spectra_kit.maps.convert import induced
 from spectra_kit.maps.deform import contact
-from spectra_kit.maps.match import Search, spectral_map
+from spectra_kit.maps.match import spectral_map
 from spectra_kit.maps.nearest import nearest
 from spectra_kit.maps.partial import Region, limb_ends, region
 from spectra_kit.maps.score import scored
+from spectra_kit.maps.search import Search
 from spectra_kit.maps.subsample import neighbours
 from spectra_kit.maps.surface import Surface
 
