@@ -49,7 +49,7 @@ from spectra_kit.maps.zoomout import both_ways
 _RIVAL = 0.15  # the same, below which one is no rival of the other
 _CONTEST = 1.15  # candidates whose scores are within that factor of the best are bent as well
 _CONTENDERS = 6  # how many at most, the best among them
-_MET = 1.25  # spacings that bodies of one kind come near: FAUST and SCAPE 0.9 to 1.16, species 0.9 to 2.3
+_MET = 1.25  # spacings that bodies of one kind come near: 0.9 to 1.16, species 0.9 to 2.3
 _LAST_STEPS = 3  # from the refined modes to the end
 _FAR = 3.0  # steps between neighbours beyond which a landmark is lost
 _NEAR = 0.05  # the same at unit area, where steps are finer: bending is rigid below that length
