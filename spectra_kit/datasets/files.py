@@ -265,8 +265,8 @@ def warn_of_omission(error: InvalidFileError) -> None:
 def write(path: Path, facts: Mapping[str, object], **arrays: NDArray[Any]) -> None:
     """Write arrays, and the facts that they follow from.
 
-    Entries are not flushed to the disk, which takes longer than to solve for a small shape: all of
-    them have checksums.
+    These are not flushed to the disk, which takes as long as half of a small shape's solution: all
+    have checksums, which are looked at when they are read. Spectra, which are mapped, are flushed.
     """
     header = {"format": "spectra_kit arrays", "facts": facts, "arrays": [*arrays]}
     write_arrays(path, header, arrays, flush=False)

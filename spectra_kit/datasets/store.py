@@ -130,8 +130,7 @@ class SpectrumStore:
         vectors = made.eigenvectors.astype(plan.precision, copy=False)
         arrays = made._arrays | {"eigenvectors": vectors}
         with self._new("spectra", facts_digest(facts)) as path:
-            told = made.certificate, made.provenance
-            write_spectrum_file(path, arrays, *told, flush=False, facts=facts)
+            write_spectrum_file(path, arrays, made.certificate, made.provenance, facts=facts)
         return made if vectors is made.eigenvectors else replace(made, eigenvectors=vectors)
 
     def descriptor(self, shape: Geometry, plan: Plan, name: Descriptor) -> Floats:

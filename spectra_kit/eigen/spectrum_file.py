@@ -29,11 +29,9 @@ def write_spectrum_file(
     arrays: Mapping[str, NDArray[np.floating]],
     certificate: Certificate | None,
     provenance: Provenance,
-    *,
-    flush: bool = True,
     **more: object,
 ) -> None:
-    """Write `arrays`, and what is known of them as JSON, to `path`; `flush` as `atomic_path`.
+    """Write `arrays`, and what is known of them as JSON, to `path`.
 
     What `more` there is to say stands in the header, too.
     """
@@ -54,7 +52,7 @@ def write_spectrum_file(
         if certificate.count is not None:
             record["count"] = vars(certificate.count)
         header["certificate"] = record
-    write_arrays(path, header, members, flush=flush)
+    write_arrays(path, header, members)
 
 
 def read_spectrum_file(path: Path, *, mmap: bool) -> dict[str, Any]:

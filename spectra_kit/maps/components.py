@@ -19,6 +19,7 @@ from spectra_kit.maps.result import DEFAULT, Match, MatchOptions
 from spectra_kit.maps.search import searched
 
 _LEAST = 100  # points of a part that can be matched: smaller ones have no partner
+_LINE = 1e-9  # of the square of its length: a part of less area is none
 
 
 @checked
@@ -66,7 +67,7 @@ def match_components(
     ----------
     source, target : TriangleMesh
         Of any number of connected parts, wherever they stand and whatever their sizes: each is
-        taken at unit area. Parts of fewer than 100 points have no partner.
+        taken at unit area. Parts of fewer than 100 points, or without area, have no partner.
     mirrored, k, options
         As of `match`.
 
@@ -98,7 +99,7 @@ def match_components(
     check_count("k", k, low=LOWEST_K)
     parts1, parts2 = _parts("source", source), _parts("target", target)
     sides = [
-        {i: prepared(part.mesh) for i, part in enumerate(parts) if part.mesh.n >= _LEAST}
+        {i: prepared(part.mesh) for i, part in enumerate(parts) if _is_large(part.mesh)}
         for parts in (parts1, parts2)
     ]
     pairs = [(i, j) for i in sides[0] for j in sides[1]]
@@ -134,7 +135,12 @@ def match_components(
 def _parts(name: str, mesh: TriangleMesh) -> list[Component]:
     """Return the parts of a mesh, one of which can be matched."""
     parts = components(mesh)
-    if all(part.mesh.n < _LEAST for part in parts):
+    if not any(_is_large(part.mesh) for part in parts):
         largest = max((part.mesh.n for part in parts), default=0)
         raise InvalidInputError(name, f"have a part of {_LEAST} points or more", largest)
     return parts
+
+
+def _is_large(mesh: TriangleMesh) -> bool:
+    """Whether a part can be matched: of enough points, and not all on a line."""
+    return mesh.n >= _LEAST and mesh.area > _LINE * float(np.ptp(mesh.points, axis=0).max()) ** 2

@@ -184,7 +184,7 @@ def topology_of(surface: Surface) -> Topology:
     around = sums(hole, normals * lengths[:, None], len(holes))
     around /= np.maximum(np.bincount(hole, lengths, len(holes)), 1e-300)[:, None]
     wide = np.linalg.norm(areas, axis=1) - np.einsum("hr,hr->h", areas, around)
-    rim = float(np.sqrt(4 * np.pi * wide.sum()))
+    rim = float(np.sqrt(4 * np.pi * np.maximum(wide, 0.0).sum()))  # in a plane it is rounding
     met = np.bincount(sides[border].ravel(), minlength=n)
     if uses.max() > 2 or not np.isin(met, (0, 2)).all():
         return Topology(None, rim)

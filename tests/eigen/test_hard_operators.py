@@ -258,3 +258,27 @@ def test_the_unit_of_length_changes_no_bit(solver, power) -> None:
         assert found.count.radius / energy * unit**2 == expected.count.radius
         assert found.count.floor / energy * unit**2 == expected.count.floor
     assert found.n_zero_modes == 1
+
+
+def test_many_equal_parts_in_a_chain_are_solved() -> None:
+    """Forty grids, each tied to the next at one corner: what blocks lose, LAPACK finds."""
+    side, parts = 9, 40
+    line = sparse.diags_array(
+        [-np.ones(side - 1), np.r_[1, np.full(side - 2, 2.0), 1], -np.ones(side - 1)],
+        offsets=[-1, 0, 1],
+    )
+    grid = sparse.kron(line, sparse.eye_array(side)) + sparse.kron(sparse.eye_array(side), line)
+    ends = np.arange(1, parts) * side**2  # the first corner of each part but the first
+    tie = sparse.coo_array(
+        (np.ones(parts - 1), (ends, ends - side**2)), shape=2 * (parts * side**2,)
+    )
+    ties = tie + tie.T
+    stiffness = sparse.block_diag([grid] * parts) + sparse.diags_array(ties.sum(axis=1)) - ties
+    n = stiffness.shape[0]
+    points = np.random.default_rng(0).random((n, 3))
+    chain = sk.Laplacian(sparse.csr_array(stiffness), np.ones(n), points)
+    found = sk.eigensolve(chain, 300)
+    assert found.certificate.level == "verified"
+    assert found.eigenvalues == pytest.approx(
+        np.linalg.eigvalsh(chain.stiffness.toarray())[:300], abs=1e-10
+    )

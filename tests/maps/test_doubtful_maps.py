@@ -6,8 +6,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+import trimesh
 from conftest import creature, refused
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 from test_match import QUICK
 
 from spectra_kit import TriangleMesh, robust_laplacian
@@ -218,6 +220,19 @@ def test_many_small_holes_are_no_cut() -> None:
     assert found.rims[1] == 0
     assert "rims" not in found.doubts
     assert found.convincing
+
+
+def test_a_gap_in_a_plane_has_no_rim() -> None:
+    """A box with a triangle missing in one side, turned at random: rounding is no length."""
+    box = trimesh.creation.box(extents=(1.0, 1.3, 0.7))
+    for _ in range(3):
+        box = box.subdivide()
+    side = np.flatnonzero(box.face_normals[:, 2] > 0.9)
+    middle = side[np.linalg.norm(box.triangles_center[side, :2] - [0.05, 0.1], axis=1).argmin()]
+    faces, rng = np.delete(box.faces, middle, axis=0), np.random.default_rng(0)
+    for turn in Rotation.random(6, rng=rng):
+        holed = TriangleMesh(turn.apply(box.vertices), faces)
+        assert rim_of(holed) == pytest.approx(0, abs=1e-6)
 
 
 def test_gaps_in_a_wall_are_no_cut() -> None:

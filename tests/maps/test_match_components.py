@@ -54,6 +54,17 @@ def test_what_has_no_partner_gets_none() -> None:
     assert repr(found) == "ComponentMatch(1 parts with a partner, 2 without)"
 
 
+def test_a_part_without_area_has_no_partner() -> None:
+    """Points on a line, in triangles: the animal beside it is found all the same."""
+    i = np.arange(150.0)
+    line = TriangleMesh(
+        np.outer(i, [0.01, 0, 0]), np.column_stack([i[:-2], i[1:-1], i[2:]]).astype(int)
+    )
+    animal = creature(500)
+    found = match_components(animal, beside(line, animal), k=60, mirrored=False, options=QUICK)
+    np.testing.assert_array_equal(found.partner, [-1, 0])
+
+
 def test_whoever_matches_several_parts_as_one_is_told() -> None:
     with pytest.raises(InvalidInputError, match=r"each with its own \(match_components\)"):
         match(RING, beside(RING, SPECK))
