@@ -248,7 +248,7 @@ class Spectrum(Rebuilt):
                 rest, M = rest[laplacian.free], laplacian.restricted(laplacian.free).consistent_mass
             norms = np.sqrt(inverse_squares(M, rest, laplacian._least_weight))
             along = dots(self.eigenvectors[laplacian.free], rest)
-        vars(self)["_along"] = along
+        vars(self)["_along"] = frozen(along)
         known = vars(self).get("_products")
         if known is None and M is None:
             squared = energies(self.mass, self.eigenvectors)
