@@ -47,6 +47,7 @@ _LEAST = 1e-3  # of the spacing: the same, where so many are equal
 _DENSITY = 100  # modes whose distance tells where the next are
 _ROUNDING = 1e-12  # residuals of the inverse, relative to its eigenvalues
 _LOOSEST = 1e-2  # the same: its square is the error of an eigenvalue
+_OWN = 0.5  # of the length of a vector, at least, lies outside of those before it
 _NEARER = 2  # times the square of a residual is an error: what is not found is half as far as zero
 _SHARED = 1e-6  # the same: its square, of what runs share, is rounding
 _BORDER = 1e-7  # of the distance of two shifts: a narrower gap may be one within a cluster
@@ -185,6 +186,8 @@ def sliced_eigenpairs(
         if weighed is None:
             Q, R = np.linalg.qr(own.T)
             own[:] = (Q * np.copysign(1.0, R.diagonal())).T
+            if np.abs(R.diagonal()).min() < _OWN:  # two runs found the same: others were not found
+                found = 0
         else:
             root_of = np.linalg.cholesky(inner(own, weighed(own)))
             own[:] = combined(np.linalg.inv(root_of), own)

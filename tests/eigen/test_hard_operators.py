@@ -260,9 +260,14 @@ def test_the_unit_of_length_changes_no_bit(solver, power) -> None:
     assert found.n_zero_modes == 1
 
 
-def test_many_equal_parts_in_a_chain_are_solved() -> None:
-    """Forty grids, each tied to the next at one corner: what blocks lose, LAPACK finds."""
-    side, parts = 9, 40
+@pytest.mark.parametrize(
+    ("parts", "k", "solver"),
+    [(40, 300, sk.Automatic()), (20, 400, sk.Lanczos(tol=1e-4))],
+    ids=["exact", "loose"],
+)
+def test_many_equal_parts_in_a_chain_are_solved(parts, k, solver) -> None:
+    """Grids, each tied to the next at one corner: what blocks lose, LAPACK finds."""
+    side = 9
     line = sparse.diags_array(
         [-np.ones(side - 1), np.r_[1, np.full(side - 2, 2.0), 1], -np.ones(side - 1)],
         offsets=[-1, 0, 1],
@@ -277,8 +282,8 @@ def test_many_equal_parts_in_a_chain_are_solved() -> None:
     n = stiffness.shape[0]
     points = np.random.default_rng(0).random((n, 3))
     chain = sk.Laplacian(sparse.csr_array(stiffness), np.ones(n), points)
-    found = sk.eigensolve(chain, 300)
+    found = sk.eigensolve(chain, k, solver)
     assert found.certificate.level == "verified"
     assert found.eigenvalues == pytest.approx(
-        np.linalg.eigvalsh(chain.stiffness.toarray())[:300], abs=1e-10
+        np.linalg.eigvalsh(chain.stiffness.toarray())[:k], abs=1e-10
     )
