@@ -1,9 +1,10 @@
-"""The solves of `SparseLDL`, eight right-hand sides at a time or one; by numba on first use.
+"""What `SparseLDL` and `Pencil` do for eight at a time, compiled by numba on first use.
 
 What is read of a factor is worth little arithmetic for one right-hand side: the solve waits for
 memory. For eight there is as much to read and eight times as much to do with it, if the processor
-takes their numbers as one vector. Compilers do not see that loops over the eight may be such, as
-arrays might overlap; so `Lanes` are vectors of LLVM itself.
+takes their numbers as one vector. And of a small factor most time goes to finding its places, which
+eight shifts share. Compilers do not see that loops over the eight may be such, as arrays might
+overlap; so `Lanes` are vectors of LLVM itself.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 Reals = NDArray[np.float64] | NDArray[np.float32]
 
-#: Right-hand sides that are solved for together: the longest vectors there are, of float64.
+#: Right-hand sides or shifts that go together: the longest vectors there are, of float64.
 LANES = 8
 #: What `solve_lanes` does: ``I + L``, then ``D (I + L)^T``; with what subtrees have for the others.
 DOWN, UP, MEET = 1, 2, 4
@@ -130,15 +131,16 @@ def _copy(typing: Any, target: Any, i: Any, source: Any, j: Any) -> Any:
 
 
 @_instruction
-def _plus(typing: Any, array: Any, i: Any, j: Any) -> Any:
-    """``array[i] + array[j]`` of two rows."""
+def _plus(typing: Any, x: Any, i: Any, y: Any, j: Any) -> Any:
+    """``x[i] + y[j]`` of two rows."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        array, *rows = arguments
-        places = (_row(context, builder, signature.args[0], array, i) for i in rows)
+        one, _, other, _ = signature.args
+        x, i, y, j = arguments
+        places = _row(context, builder, one, x, i), _row(context, builder, other, y, j)
         return builder.fadd(*(builder.load(place, align=size) for place, size in places))
 
-    return _lanes(array)(array, types.intp, types.intp), generate
+    return _lanes(x)(x, types.intp, y, types.intp), generate
 
 
 @_instruction
@@ -164,6 +166,54 @@ def _times(typing: Any, factor: Any, x: Any) -> Any:
         return builder.fmul(_in_all_lanes(builder, factor, x.type), x)
 
     return x(x.dtype, x), generate
+
+
+@_instruction
+def _all(typing: Any, array: Any, i: Any) -> Any:
+    """``array[i]`` of numbers in all lanes."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array, i = arguments
+        start = context.make_array(signature.args[0])(context, builder, array).data
+        number = builder.load(builder.gep(start, [i]))
+        return _in_all_lanes(builder, number, _vector(number.type, LANES))
+
+    return Lanes(array.dtype, LANES)(array, types.intp), generate
+
+
+@_instruction
+def _over(typing: Any, x: Any, y: Any) -> Any:
+    """``x / y`` of two rows."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.fdiv(*arguments)
+
+    return x(x, y), generate
+
+
+@_instruction
+def _scaled(typing: Any, x: Any, array: Any, i: Any) -> Any:
+    """``x * array[i]`` of two rows."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        x, array, i = arguments
+        place, alignment = _row(context, builder, signature.args[1], array, i)
+        return builder.fmul(x, builder.load(place, align=alignment))
+
+    return x(x, array, types.intp), generate
+
+
+@_instruction
+def _without(typing: Any, x: Any, factor: Any, array: Any, i: Any) -> Any:
+    """``x - factor * array[i]`` of three rows."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        x, factor, array, i = arguments
+        place, alignment = _row(context, builder, signature.args[2], array, i)
+        product = builder.fmul(factor, builder.load(place, align=alignment), flags=_FUSED)
+        return builder.fsub(x, product, flags=_FUSED)
+
+    return x(x, factor, array, types.intp), generate
 
 
 # All arrays are the caller's: each kind that is made here takes long to compile.
@@ -211,7 +261,7 @@ def solve_lanes(
                     entries[i * lanes + c] = 0.0
         if what & MEET:
             for i in range(beyond):
-                _put(y, outside[i], _plus(y, outside[i], n + i))
+                _put(y, outside[i], _plus(y, outside[i], y, n + i))
         for j in range(len(spans)):
             for s in range(spans[j, 0], spans[j, 1]):
                 a, width, low = begins[s], begins[s + 1] - begins[s], first[s]
@@ -301,3 +351,96 @@ def solve_lanes(
             for i in range(begins[spans[j, 0]], begins[spans[j, 1]]):
                 for c in range(many):
                     out[order[i], left + c] = entries[i * lanes + c]
+
+
+@compiled(_nrt=False)
+def shifted_pivots(
+    starts: Ints,
+    columns: Ints,
+    values: Reals,
+    mass: Reals,
+    order: Ints,
+    begins: Ints,
+    first: Longs,
+    rows: Ints,
+    above: Ints,
+    place: Ints,
+    shifts: Reals,
+    pivots: Reals,
+    local: Ints,
+    behind: Ints,
+    front: Reals,
+    waiting: Reals,
+) -> None:
+    """Write the `pivots` (n, 8) that factors of ``L - sigma M`` have, for `shifts` sigma of (1, 8).
+
+    Of the factors nothing else is kept. The entries of L and M are `values` and `mass`; all else is
+    as in `factorise`, with eight numbers in each row of `front` and `waiting`. Where a pivot is
+    zero, what follows in its lane is not finite.
+    """
+    sigma, one = _take(shifts, 0), _take(shifts, 1)
+    top, high = 0, 0
+    for s in range(len(begins) - 1):
+        a, width, low = begins[s], begins[s + 1] - begins[s], first[s]
+        u = first[s + 1] - low
+        m = width + u
+        for i in range(m):
+            for j in range(i, m):
+                _put(front, i * m + j, _take(shifts, 2))
+        for j in range(width):
+            local[a + j] = j
+        for p in range(u):
+            local[rows[low + p]] = width + p
+        for j in range(width):
+            v = order[a + j]
+            for p in range(starts[v], starts[v + 1]):
+                i = place[columns[p]]
+                if i >= a + j:
+                    _put(front, j * m + local[i], _less(_all(values, p), mass, p, sigma))
+        while high > 0 and above[behind[high - 1]] == s:
+            high -= 1
+            c = first[behind[high]]
+            k = first[behind[high] + 1] - c
+            top -= k * (k + 1) // 2
+            at = top
+            for i in range(k):
+                row = local[rows[c + i]] * m
+                for j in range(i, k):
+                    to = row + local[rows[c + j]]
+                    _put(front, to, _plus(front, to, waiting, at + j - i))
+                at += k - i
+        for k0 in range(0, width, 4):
+            is_four = k0 + 4 <= width  # which are taken from the rows below in one pass
+            k1 = k0 + 4 if is_four else width
+            for k in range(k0, k1):
+                at = k * m
+                inverse = _over(one, _take(front, at + k))
+                _copy(pivots, a + k, front, at + k)
+                for i in range(k + 1, k1 if is_four else m):
+                    l0 = _scaled(inverse, front, at + i)
+                    for j in range(i, m):
+                        to = i * m + j
+                        _put(front, to, _without(_take(front, to), l0, front, at + j))
+            if is_four:
+                p0 = k0 * m
+                p1, p2, p3 = p0 + m, p0 + 2 * m, p0 + 3 * m
+                i0 = _over(one, _take(pivots, a + k0))
+                i1 = _over(one, _take(pivots, a + k0 + 1))
+                i2 = _over(one, _take(pivots, a + k0 + 2))
+                i3 = _over(one, _take(pivots, a + k0 + 3))
+                for i in range(k1, m):
+                    l0, l1 = _scaled(i0, front, p0 + i), _scaled(i1, front, p1 + i)
+                    l2, l3 = _scaled(i2, front, p2 + i), _scaled(i3, front, p3 + i)
+                    for j in range(i, m):
+                        to = i * m + j
+                        x = _without(_take(front, to), l0, front, p0 + j)
+                        x = _without(x, l1, front, p1 + j)
+                        x = _without(x, l2, front, p2 + j)
+                        _put(front, to, _without(x, l3, front, p3 + j))
+        if u > 0:
+            for i in range(width, m):
+                for j in range(i, m):
+                    _copy(waiting, top + j - i, front, i * m + j)
+                top += m - i
+            behind[high] = s
+            high += 1

@@ -37,6 +37,17 @@ class Inertia(NamedTuple):
     zero: int
     positive: int
 
+    @classmethod
+    def of(cls, pivots: Floats, diagonal: Floats) -> Inertia:
+        """Of the pivots of a factor, each beside the diagonal entry that it was made from.
+
+        One within rounding of that entry, n times 2e-16 of it, counts as zero.
+        """
+        n = len(pivots)
+        zero = np.abs(pivots) <= n * _EPS * np.abs(diagonal)
+        negative = int((~zero & (pivots < 0)).sum())
+        return cls(negative, int(zero.sum()), n - negative - int(zero.sum()))
+
 
 class SparseLDL:
     """``A = P (I + L) D (I + L)^T P^T``, computed once, solved for any number of right-hand sides.
@@ -126,8 +137,9 @@ class SparseLDL:
         self._inverse = 1 / self.pivots
         # What elimination takes from a diagonal entry is a sum of up to n terms, no larger in all
         # than the entry where the matrix is definite (Higham, Accuracy and Stability, ch. 3).
-        self._rounding = self.n * _EPS * np.abs(diagonal[known.order])
-        if definite and (bad := int((self.pivots <= self._rounding).sum())):
+        self._diagonal = diagonal[known.order]
+        rounding = self.n * _EPS * np.abs(self._diagonal)
+        if definite and (bad := int((self.pivots <= rounding).sum())):
             raise InvalidInputError(
                 "matrix",
                 "be symmetric positive definite",
@@ -152,13 +164,8 @@ class SparseLDL:
 
     @property
     def inertia(self) -> Inertia:
-        """Signs of the eigenvalues of the factorised matrix, by Sylvester's law.
-
-        A pivot within rounding of its own diagonal entry, n times 2e-16 of it, counts as zero.
-        """
-        zero = np.abs(self.pivots) <= self._rounding
-        negative = int((~zero & (self.pivots < 0)).sum())
-        return Inertia(negative, int(zero.sum()), self.n - negative - int(zero.sum()))
+        """Signs of the eigenvalues of the factorised matrix, by Sylvester's law."""
+        return Inertia.of(self.pivots, self._diagonal)
 
     def backward_error(self, weight: Floats) -> float:
         """Bound how far the product of the factors is from the matrix.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import quantity
 from spectra_kit._core.warn import warn
 from spectra_kit._sparse.host import inner
+from spectra_kit._sparse.ldl import Inertia
 from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit._sparse.pencil import Pencil
 from spectra_kit._sparse.products import spmm
@@ -205,7 +207,7 @@ def _inexactness(
     return skew, apart
 
 
-_WORK = 2**16  # points times counts: a tenth of a second, where smoothing takes some
+_WORK = 2**17  # points times counts: some hundredths of a second
 _FEW = 10_000  # points up to which any operator is counted on
 _GIGABYTES = 8.0  # of a factor, at most
 _TIMES = (3, 30, 300)  # as large as estimated: what solvers say of themselves, and what is tried
@@ -259,6 +261,9 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
     times, i, refuted = np.ones(len(some)), 0, False  # as large as estimated each may be
     try:
         pencil = Pencil(laplacian.stiffness, laplacian._weights)
+        together: list[Inertia | None] = [None] * len(some)
+        with suppress(MemoryError):  # one by one they take less
+            together = pencil.inertias(claims[some])
         for i, j in enumerate(some):
             refuted = False
             for more in _TIMES if np.isfinite(times).all() else _TIMES[:1]:
@@ -266,13 +271,14 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
                 if shift <= 0:
                     times[i], refuted = more if more > _TIMES[0] else 1.0, False
                     break
-                factor = pencil.factor(shift)
-                if factor is None:
-                    continue
-                inertia = factor.inertia
-                backward = 0.0
-                if inertia.negative > j:
-                    backward = factor.backward_error(laplacian._diagonal) / laplacian._least_weight
+                inertia, backward = together[i] if more == _TIMES[0] else None, 0.0
+                if inertia is None or inertia.negative > j:
+                    if (factor := pencil.factor(shift)) is None:
+                        continue
+                    inertia = factor.inertia
+                    if inertia.negative > j:
+                        backward = factor.backward_error(laplacian._diagonal)
+                        backward /= laplacian._least_weight
                 floors.append(shift - backward)
                 numbers.append(inertia.negative + inertia.zero)
                 refuted = inertia.negative > j and shift + backward < values[j]  # by no rounding

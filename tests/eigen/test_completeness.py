@@ -138,7 +138,7 @@ def test_what_sweeps_cannot_complete_is_solved_densely_on_few_points(
 
 
 class Memory:
-    """Room for so many factors of a pencil, in place of its `factor`."""
+    """Room for so many factors of a pencil, and never for eight at once."""
 
     def __init__(self, monkeypatch, room: int) -> None:
         self.room, self.ended, factor = room, False, Pencil.factor
@@ -150,7 +150,11 @@ class Memory:
             self.room -= 1
             return factor(pencil, sigma)
 
+        def together(pencil, shifts):
+            raise MemoryError
+
         monkeypatch.setattr(Pencil, "factor", within)
+        monkeypatch.setattr(Pencil, "inertias", together)
 
 
 @pytest.mark.parametrize(

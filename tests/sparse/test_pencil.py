@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from conftest import creature
 from scipy import linalg, sparse
+from volumes import box
 
 import spectra_kit as sk
 from spectra_kit._sparse import SparseLDL
 from spectra_kit._sparse.pencil import Pencil
+from spectra_kit.operators import tetrahedral_laplacian
 
 
 @pytest.fixture(scope="module")
@@ -20,6 +22,35 @@ def test_inertia_counts_eigenvalues_below_each_shift(animal):
     truth = linalg.eigh(animal.stiffness.toarray(), np.diag(animal.mass), eigvals_only=True)
     for sigma in (-1.0, *(truth[[5, 40, 200]] + truth[[6, 41, 201]]) / 2, 2 * truth[-1]):
         assert pencil.factor(sigma).inertia.negative == (truth < sigma).sum()
+
+
+@pytest.mark.parametrize(
+    "operator",
+    [
+        lambda: sk.laplacian(creature(500, seed=1)),
+        lambda: sk.laplacian(creature(500, seed=1), mass="consistent"),
+        lambda: sk.laplacian(sk.geometry.sphere(subdivisions=3).geometry),  # clusters
+        lambda: tetrahedral_laplacian(box(12, 13, 14)),  # with a front of more than 256 rows
+    ],
+    ids=["animal", "consistent", "sphere", "volume"],
+)
+def test_eight_shifts_at_once_count_as_each_alone(operator):
+    laplacian = operator()
+    pencil, values = Pencil(laplacian.stiffness, laplacian._weights), np.arange(43.0)
+    shifts = (values - 0.5) * laplacian.eigenvalue_spacing
+    alone = [pencil.factor(sigma).inertia for sigma in shifts]
+    assert alone[0].negative == 0 < alone[-1].negative
+    assert pencil.inertias(shifts) == alone
+
+
+def test_a_shift_without_a_factor_leaves_the_others_beside_it_alone():
+    pencil = Pencil(sparse.csr_array([[0.0, 1.0], [1.0, 0.0]]), np.ones(2))
+    assert [one and one.negative for one in pencil.inertias([-2.0, 0.0, 0.5, 2.0])] == [
+        0,
+        None,
+        1,
+        2,
+    ]
 
 
 def test_factors_are_those_of_the_matrix(animal):
