@@ -209,8 +209,9 @@ class Neo(Rebuilt):
     def _found(
         self, laplacian: Laplacian, found: Smoothed, k: int, spent: dict[str, float]
     ) -> Eigenpairs:
-        """Tell what a batch has found of an operator."""
-        return self._cascade._told(laplacian, found, k, Clock(spent=spent))
+        """Tell what a batch has found of an operator; a copy: the next batch takes its memory."""
+        own = found._replace(eigenvectors=np.array(found.eigenvectors))
+        return self._cascade._told(laplacian, own, k, Clock(spent=spent))
 
     def _predicted(
         self, laplacian: Laplacian, k: int, basis: NDArray[np.float32], seconds: float

@@ -13,12 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy import sparse
 from torch import Tensor
 
 from spectra_kit._core.clock import Clock
 from spectra_kit._sparse.batched_eigh import eigh
-from spectra_kit._sparse.torch_device import csr_product, csr_tensor
+from spectra_kit._sparse.torch_device import csr_like, csr_product, csr_tensor
 from spectra_kit.eigen.multigrid import estimates, smoothing
 from spectra_kit.eigen.multigrid.cascade import _MORE, _ROUNDING, _SURE, Smoothed
 from spectra_kit.operators.laplacian import Laplacian
@@ -42,32 +43,28 @@ class Batch(NamedTuple):
     def of(cls, laplacians: Sequence[Laplacian], device: str) -> Batch:
         """Put operators together on a device."""
         b, most = len(laplacians), max(laplacian.n for laplacian in laplacians)
-        mass, diagonal = np.zeros((b, most)), np.zeros((b, most))
-        highest, rows, columns = np.empty(b), [np.zeros(1, dtype=np.int64)], []
+        masses, rows, columns = np.zeros((b, most)), [np.zeros(1, dtype=np.int64)], []
         for i, laplacian in enumerate(laplacians):
             L = laplacian.stiffness
-            diagonal[i, : laplacian.n], highest[i] = smoothing.preconditioner(L, laplacian.mass)
-            mass[i, : laplacian.n] = laplacian.mass
+            masses[i, : laplacian.n] = laplacian.mass
             ends = np.append(L.indptr[1:], np.full(most - laplacian.n, L.nnz))
             rows.append(ends + rows[-1][-1])
             columns.append(L.indices + i * most)
         values = np.concatenate([laplacian.stiffness.data for laplacian in laplacians])
         arrays = values, np.concatenate(columns), np.concatenate(rows)
         whole = sparse.csr_array(arrays, shape=(b * most, b * most))
-        spacing = np.array([laplacian.eigenvalue_spacing for laplacian in laplacians])
-
-        def there(array: np.ndarray) -> Tensor:
-            return torch.from_numpy(array).to(device).unsqueeze(-1)
-
-        weights = there(diagonal)
+        stiffness = csr_tensor(whole, device=device)
+        mass = torch.from_numpy(masses).to(device)
+        spacing = torch.tensor([laplacian.eigenvalue_spacing for laplacian in laplacians])
+        diagonal, highest = _preconditioner(stiffness, mass)
         return cls(
-            stiffness=csr_tensor(whole, device=device),
-            singles=csr_tensor(whole, torch.float32, device),
-            mass=there(mass),
-            diagonal=weights,
-            inverse=torch.where(weights > 0, 1 / weights, 0.0).float(),
-            highest=there(highest),
-            spacing=there(spacing),
+            stiffness=stiffness,
+            singles=csr_like(stiffness, stiffness.values().float()),
+            mass=mass.unsqueeze(2),
+            diagonal=diagonal.unsqueeze(2),
+            inverse=torch.where(diagonal > 0, 1 / diagonal, 0.0).float().unsqueeze(2),
+            highest=highest,
+            spacing=spacing.to(mass).unsqueeze(1),
         )
 
     def product(self, Y: Tensor) -> Tensor:
@@ -135,6 +132,31 @@ class Batch(NamedTuple):
             following = 1 / (2 * centre / radius - ratio)
             kept, step, ratio = ratio * following, 2 * following / radius, following
         return torch.where(found.isfinite().all(1, keepdim=True), found, 0.0)
+
+
+def _preconditioner(stiffness: Tensor, mass: Tensor) -> tuple[Tensor, Tensor]:
+    """Return diagonals (b, N) and bounds (b, 1): `smoothing.preconditioner`, batched."""
+    sizes, columns, values = (
+        stiffness.crow_indices().diff(),
+        stiffness.col_indices(),
+        stiffness.values(),
+    )
+    places = torch.arange(len(sizes), device=mass.device)
+    on = torch.repeat_interleave(places, sizes, output_size=len(values)) == columns
+    ones = torch.ones_like(mass).reshape(-1, 1)
+    diagonal, sums = (
+        csr_product(csr_like(stiffness, some), ones, ones.dtype).reshape(mass.shape)
+        for some in (torch.where(on, values, 0.0), values.abs())
+    )
+    held = mass > 0
+
+    def median(of: Tensor) -> Tensor:
+        return torch.where(held, of, torch.nan).nanquantile(0.5, dim=1, keepdim=True)
+
+    diagonal = torch.maximum(diagonal, smoothing._FLOOR * median(diagonal))
+    diagonal = diagonal + smoothing._MASS * median(diagonal / mass) * mass
+    highest = torch.where(held, sums / diagonal, 0.0).amax(1, keepdim=True)
+    return torch.where(held, diagonal, 0.0), highest
 
 
 def predicted_and_smoothed(
@@ -212,9 +234,18 @@ def _end(
     steps: int,
 ) -> None:
     """Bring what was found of some operators, in these rows of a batch, to the host at once."""
-    values, U, errors = (part[rows].cpu().numpy() for part in found)
+    U = _on_host(found[1][rows])
+    values, errors = (part[rows].cpu().numpy() for part in found[::2])
     for j, i in enumerate(which):
         ends[i] = Smoothed(values[j], U[j, : laplacians[i].n], errors[j], steps)
+
+
+def _on_host(tensor: Tensor) -> NDArray[np.float64]:
+    """Return a copy on the host, of CUDA's in memory that its copies are quick to, and rare."""
+    if tensor.device.type != "cuda":
+        return np.asarray(tensor.cpu().numpy())
+    there = torch.empty(tensor.shape, dtype=tensor.dtype, pin_memory=True)
+    return np.asarray(there.copy_(tensor).numpy())
 
 
 def _smoothing(

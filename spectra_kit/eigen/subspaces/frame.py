@@ -95,7 +95,8 @@ def canonical_frame(points: ArrayLike, mass: ArrayLike) -> Frame:
     # LAPACK's signs are arbitrary: fix them, so that ties below are settled the same everywhere.
     axes = axes * np.where(axes[np.abs(axes).argmax(axis=0), range(3)] < 0, -1.0, 1.0)
     axes = axes * np.array([1.0, 1.0, np.linalg.det(axes)]).round()
-    skewness = weights @ (centred @ axes) ** 3
+    turned = centred @ axes
+    skewness = weights @ (turned * turned * turned)  # a power takes twenty times as long
     skewness[np.abs(skewness) < _NO_SKEWNESS] = 0.0
     rotation = axes * POSES[(POSES @ skewness).argmax()]
     return Frame(centre, rotation, float(extent * np.abs(centred @ rotation).max()))
