@@ -14,6 +14,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from spectra_kit._sparse.recorded import recorded
+
 _LEAF = 32  # rows up to which cuSOLVER solves a batch at once
 _FEW = 16  # matrices, below which launches cost more than one after the other is expected to
 _STEPS = 14  # to roots of the secular equation: 11 were enough for all matrices tried
@@ -51,20 +53,13 @@ def _on_host(A: Tensor) -> bool:
 def divide_and_conquer(A: Tensor, keep: int) -> tuple[Tensor, Tensor]:
     """Return the same eigenvalues and vectors by the way above, whatever the device; n >= 2."""
     b, n, _ = A.shape
-    size = _size(A)
-    diagonal, beside, reflectors, halves = _tridiagonal(A / size.clamp(min=_NOTHING))
-    parts = 1 << (-(-n // _LEAF) - 1).bit_length()  # halved and halved again
-    more = -n % parts
-    # Rows that fill the last part are joined to nothing, with eigenvalues above all others.
-    above = 2 + torch.arange(more, device=A.device).to(A) / n
-    diagonal = torch.cat([diagonal, above.expand(b, -1)], 1)
-    beside = torch.cat([beside, beside.new_zeros(b, more)], 1)
-    values, vectors = _of_tridiagonal(diagonal, beside, keep)
-    vectors = vectors[:, :n]
-    # All reflections at once: their product is I - V T^-1 V^T.
-    triangle = (reflectors.mT @ reflectors).triu(1) + torch.diag_embed(halves)
-    inner = torch.linalg.solve_triangular(triangle, reflectors.mT @ vectors, upper=True)
-    return values * size[..., 0], vectors - reflectors @ inner
+    if A.device.type == "cuda":  # as many as there is a recording for, or will be
+        more = (1 << (b - 1).bit_length()) - b
+        A = torch.cat([A, torch.eye(n, dtype=A.dtype, device=A.device).expand(more, -1, -1)])
+    leaves, *rest = recorded(_torn, A)
+    found = recorded(_joined, *torch.linalg.eigh(leaves), *rest, n, keep)
+    values, vectors = (part[:b] for part in found)
+    return values, vectors
 
 
 def _size(A: Tensor) -> Tensor:
@@ -94,27 +89,59 @@ def _tridiagonal(A: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return A.diagonal(dim1=1, dim2=2), beside, A.tril(-1)[..., : n - 2], halves
 
 
-def _of_tridiagonal(diagonal: Tensor, beside: Tensor, keep: int) -> tuple[Tensor, Tensor]:
-    """Return the `keep` lowest eigenpairs of tridiagonal matrices with norms of about one."""
-    b, n = diagonal.shape
-    if n <= _LEAF:
-        off = torch.diag_embed(beside, 1)
-        values, vectors = torch.linalg.eigh(torch.diag_embed(diagonal) + off + off.mT)
-        return values[:, :keep], vectors[..., :keep]
-    # With rho u u^T taken away, u = (..., 0, 1, sign, 0, ...), two halves are left.
-    joint, half = beside[:, n // 2 - 1], n // 2
-    rho, sign = joint.abs().clamp(min=_EPS), torch.where(joint < 0, -1.0, 1.0).to(joint)
-    torn = diagonal.clone()
-    torn[:, half - 1 : half + 1] -= rho[:, None]
-    halves = torch.stack([beside[:, : half - 1], beside[:, half:]], 1).flatten(0, 1)
-    values, vectors = _of_tridiagonal(torn.reshape(2 * b, half), halves, half)
-    vectors = vectors.reshape(b, 2, half, half)
-    z = torch.cat([vectors[:, 0, -1], vectors[:, 1, 0] * sign[:, None]], 1)
-    poles, order = values.reshape(b, n).sort(1)
-    values, inner = _of_rank_one(poles, z.gather(1, order), rho[:, None], keep)
-    place = order.argsort(1)[:, None].expand(-1, keep, -1)
-    inner = inner.gather(2, place).reshape(b, keep, 2, half).permute(0, 2, 3, 1)
-    return values, (vectors @ inner).reshape(b, n, keep)
+def _torn(A: Tensor) -> tuple[Tensor, ...]:
+    """Return the parts of tridiagonal matrices (b p, w, w), and what joins them to a whole again.
+
+    With ``rho u u^T`` taken away for each entry `beside` that joins two, u = (..., 1, sign, ...).
+    """
+    b, n, _ = A.shape
+    size = _size(A)
+    diagonal, beside, reflectors, halves = _tridiagonal(A / size.clamp(min=_NOTHING))
+    parts = 1 << (-(-n // _LEAF) - 1).bit_length()  # halved and halved again
+    more = -n % parts
+    # Rows that fill the last part are joined to nothing, with eigenvalues above all others.
+    above = 2 + torch.arange(more, device=A.device).to(A) / n
+    diagonal = torch.cat([diagonal, above.expand(b, -1)], 1).reshape(b, parts, -1)
+    beside = torch.cat([beside, beside.new_zeros(b, more + 1)], 1).reshape(diagonal.shape)
+    joints = beside[:, :-1, -1]
+    rho = joints.abs().clamp(min=_EPS)
+    diagonal[:, :-1, -1] -= rho
+    diagonal[:, 1:, 0] -= rho
+    off = torch.diag_embed(beside[..., :-1], 1)
+    leaves = torch.diag_embed(diagonal) + off + off.mT
+    return leaves.flatten(0, 1), joints, reflectors, halves, size
+
+
+def _joined(
+    values: Tensor,
+    vectors: Tensor,
+    joints: Tensor,
+    reflectors: Tensor,
+    halves: Tensor,
+    size: Tensor,
+    n: int,
+    keep: int,
+) -> tuple[Tensor, ...]:
+    """Return the `keep` lowest eigenpairs of matrices from those of their parts."""
+    b, apart = len(size), 1
+    while (parts := len(values) // b) > 1:
+        half = values.shape[1]
+        kept = keep if parts == 2 else 2 * half
+        joint = joints[:, apart - 1 :: 2 * apart].reshape(-1, 1)
+        rho, sign = joint.abs().clamp(min=_EPS), torch.where(joint < 0, -1.0, 1.0).to(joint)
+        poles, order = values.reshape(-1, 2 * half).sort(1)
+        vectors = vectors.reshape(-1, 2, half, half)
+        z = torch.cat([vectors[:, 0, -1], vectors[:, 1, 0] * sign], 1)
+        values, inner = _of_rank_one(poles, z.gather(1, order), rho, kept)
+        place = order.argsort(1)[:, None].expand(-1, kept, -1)
+        inner = inner.gather(2, place).reshape(-1, kept, 2, half).permute(0, 2, 3, 1)
+        vectors = (vectors @ inner).reshape(-1, 2 * half, kept)
+        apart *= 2
+    values, vectors = values[:, :keep], vectors[:, :n, :keep]
+    # All reflections at once: their product is I - V T^-1 V^T.
+    triangle = (reflectors.mT @ reflectors).triu(1) + torch.diag_embed(halves)
+    inner = torch.linalg.solve_triangular(triangle, reflectors.mT @ vectors, upper=True)
+    return values * size[..., 0], vectors - reflectors @ inner
 
 
 def _of_rank_one(d: Tensor, z: Tensor, rho: Tensor, keep: int) -> tuple[Tensor, Tensor]:
