@@ -191,6 +191,7 @@ def test_a_shortened_schedule_goes_on_where_the_rate_is(seconds):
         ("cuda", {"precision": "float32"}),
     ],
 )
+@pytest.mark.filterwarnings("ignore:`torch.jit.script_method` is deprecated")  # torch's own call
 def test_training_learns(corpora, tmp_path, device, options):
     if device == "cuda" and not torch.cuda.is_available():
         pytest.skip("needs an NVIDIA GPU")
