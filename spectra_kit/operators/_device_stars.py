@@ -62,7 +62,8 @@ def _first_stars(clouds: Sequence[Floats], k: int, device: torch.device) -> Iter
     end = 0
     for n in map(len, clouds):
         start, end = end, end + n
-        own, (sizes, closed, lined) = found[start:end, :k], found[start:end, k:].T
+        own = found[start:end, :k]
+        sizes, closed, lined = np.ascontiguousarray(found[start:end, k:].T)
         stars = Stars(np.arange(n), own - start, sizes, closed != 0, lined != 0)
         yield FirstStars(stars, *far[:, start:end])
 

@@ -38,6 +38,25 @@ def hulls(x: Floats, y: Floats, names: Ints32, links: Ints32, sizes: Ints32, clo
             links[row, c] = names[row, hull[c]]
 
 
+@compiled()
+def star_triangles(
+    rows: NDArray[np.int64], links: Ints32, sizes: Ints32, closed: Bools, of: Bools
+) -> Ints32:
+    """Return the triangles (t, 3) of the stars of some points, which are their first corners."""
+    count = 0
+    for row in range(len(rows)):
+        if of[row]:
+            count += sizes[row] if closed[row] else max(sizes[row] - 1, 0)
+    triangles, t = np.empty((count, 3), np.int32), 0
+    for row in range(len(rows)):
+        if of[row]:
+            for c in range(sizes[row] if closed[row] else sizes[row] - 1):
+                triangles[t, 0], triangles[t, 1] = rows[row], links[row, c]
+                triangles[t, 2] = links[row, (c + 1) % sizes[row]]
+                t += 1
+    return triangles
+
+
 @register_jitable
 def _hull(
     x: Floats, y: Floats, angle: Floats, order: NDArray[np.int64], hull: NDArray[np.int64]

@@ -109,13 +109,9 @@ class Stars(NamedTuple):
 
     def triangles(self, of: Bools) -> Ints32:
         """Return the triangles of those points."""
-        rows, links, sizes, closed, _ = (array[of] for array in self)
-        counts = np.where(closed, sizes, np.maximum(sizes - 1, 0))
-        owner = np.repeat(np.arange(len(rows)), counts)
-        corner = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
-        following = (corner + 1) % sizes[owner]
-        triangles = np.column_stack([rows[owner], links[owner, corner], links[owner, following]])
-        return triangles.astype(np.int32)
+        from spectra_kit.operators._hulls import star_triangles  # numba is slow to import
+
+        return star_triangles(*self[:-1], of)
 
 
 def _tree(points: Floats) -> Any:
