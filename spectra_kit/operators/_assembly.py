@@ -16,8 +16,8 @@ def cotangent_laplacian(
 ) -> tuple[Ints32, Ints32, Floats, Floats]:
     """Return the stiffness, by rows with ascending columns and no zeros, and the lumped mass.
 
-    Of one of the `copies`, with each corner i at ``names[i]``. Entries that meet are added in the
-    order of their edges, the same on both sides of the diagonal.
+    Of one of the `copies`, with corner i at ``names[i]``, which `tails` are written over with.
+    Entries that meet are added in the order of their edges, the same on both sides of the diagonal.
     """
     n = len(names)
     starts, areas = np.zeros(n + 1, np.int64), np.zeros(n)
@@ -82,6 +82,8 @@ def cotangent_laplacian(
                 columns[tail], entries[tail] = columns[p], entries[p] / copies
                 tail += 1
     rows[n] = tail
+    for h in range(len(tails)):
+        tails[h] = names[tails[h]]
     return rows, columns[:tail], entries[:tail], mass
 
 

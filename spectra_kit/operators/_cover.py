@@ -159,7 +159,7 @@ def cloud_cover(
             advice="remove such curves first",
         )
     boundary = np.sort(at_boundary).astype(np.int64)
-    return Cover(order[corners], lengths * unit, copies, boundary, stiffness, mass * unit**2)
+    return Cover(corners, lengths * unit, copies, boundary, stiffness, mass * unit**2)
 
 
 def _front_and_back(
@@ -210,7 +210,10 @@ def _check_ended(ended: bool, most: int) -> None:
 def laplacian_of(
     corners: Ints32, lengths: Floats, twins: Ints32, names: Ints32, copies: int
 ) -> tuple[sparse.csr_array, Floats]:
-    """Return stiffness and lumped mass of one copy of the surface, with corner i at `names[i]`."""
+    """Return stiffness and lumped mass of one copy of the surface.
+
+    With corner i at ``names[i]``, which `corners` are written over with.
+    """
     n = len(names)
     ends, columns, entries, mass = cotangent_laplacian(
         corners.reshape(-1), lengths.reshape(-1), twins, names, copies

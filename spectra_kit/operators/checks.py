@@ -117,11 +117,10 @@ def check_cloud_usable(cloud: PointCloud, n_neighbors: int) -> tuple[int, float]
     unit = unit_of(cloud)
     points = cloud.points / unit
     check_distinct(points)
-    points -= points.mean(axis=0)
-    moments = points.T @ points
+    moments = np.cov(points.T.copy())  # by columns, which takes a fifth of the time
     if np.trace(moments) ** 2 - (moments**2).sum() > _SLIM * np.trace(moments) ** 2:
         return min(n_neighbors, cloud.n - 1), unit
-    spread = np.linalg.svd(points, compute_uv=False)
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if spread[1] <= 1e-9 * spread[0]:
         raise InvalidInputError(
             "geometry",
@@ -137,7 +136,7 @@ def unit_of(geometry: Geometry) -> float:
     It is a power of two: coordinates in this unit are not rounded.
     """
     with np.errstate(over="ignore"):
-        extent = float(np.ptp(geometry.points, axis=0).max())
+        extent = float(np.ptp(geometry.points.T.copy(), axis=1).max())
     if not _SMALLEST < extent < _LARGEST:
         raise InvalidInputError(
             "geometry",
