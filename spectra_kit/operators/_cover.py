@@ -28,7 +28,7 @@ from spectra_kit.operators.checks import check_cloud_usable, mean_edges, units_o
 from spectra_kit.operators.local_delaunay import FirstStars, local_triangles
 
 MOLLIFY, NEIGHBORS = 1e-5, 30  # by default
-_BLOCK = 16_384  # points of one task: fixed, so that nothing depends on the number of threads
+_BLOCK = 4096  # points of one task: fixed, so that nothing depends on the number of threads
 # Of a half-edge, before giving up. Clouds need 0.14 at most, but n slivers that fan out from one
 # point, as in flat parts of technical models, n / 32.
 _FLIPS = 1000

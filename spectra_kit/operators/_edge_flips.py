@@ -191,12 +191,18 @@ def _glue_edge(
         apex[j] = triangles[t, _BEFORE[c]]
         twins[up[j]], twins[down[j]] = down[j], up[j]
         if d > 1:
-            _direction(points, low, high, apex[j], out[j])
+            i = 0
+            while apex[i] != apex[j]:
+                i += 1
+            if i == j:
+                _direction(points, low, high, apex[j], out, j)
+            for r in range(3):
+                out[j, r] = out[i, r]
     for _ in range(d // 2):
         best, p, q = sharpest, -1, -1
         for i in range(d):
-            for j in range(i + 1, d):
-                if apex[i] != apex[j] and apex[i] != _PAIRED and apex[j] != _PAIRED:
+            for j in range(i + 1, d if apex[i] != _PAIRED else 0):
+                if apex[i] != apex[j] and apex[j] != _PAIRED:
                     dot = out[i, 0] * out[j, 0] + out[i, 1] * out[j, 1] + out[i, 2] * out[j, 2]
                     if dot < best - _TIE:  # the first of equals, whatever the rounding
                         best, p, q = dot, i, j
@@ -208,22 +214,25 @@ def _glue_edge(
 
 
 @register_jitable
-def _direction(points: Floats, low: int, high: int, apex: int, out: Floats) -> None:
-    """Write the unit vector from the line through two points towards a third one."""
+def _direction(points: Floats, low: int, high: int, apex: int, out: Floats, j: int) -> None:
+    """Write the unit vector from the line through two points towards a third one, to row j.
+
+    Views of single rows would take as long to make.
+    """
     along, square = 0.0, 0.0
     for r in range(3):
         edge = points[high, r] - points[low, r]
-        out[r] = points[apex, r] - points[low, r]
-        along += edge * out[r]
+        out[j, r] = points[apex, r] - points[low, r]
+        along += edge * out[j, r]
         square += edge * edge
     norm = 0.0
     for r in range(3):
         if square > 0:
-            out[r] -= along / square * (points[high, r] - points[low, r])
-        norm += out[r] * out[r]
+            out[j, r] -= along / square * (points[high, r] - points[low, r])
+        norm += out[j, r] * out[j, r]
     if norm > 0:
         for r in range(3):
-            out[r] /= math.sqrt(norm)
+            out[j, r] /= math.sqrt(norm)
 
 
 @compiled(error_model="numpy")

@@ -23,7 +23,7 @@ def hulls(x: Floats, y: Floats, names: Ints32, links: Ints32, sizes: Ints32, clo
     whether the origin is inside. Else it is the corner before the first.
     """
     k = x.shape[1]
-    angle = np.empty(k)
+    angle, order = np.empty(k), np.empty(k, np.int64)
     hull = np.empty(k + 1, np.int64)
     for row in range(len(x)):
         for j in range(k):
@@ -31,7 +31,11 @@ def hulls(x: Floats, y: Floats, names: Ints32, links: Ints32, sizes: Ints32, clo
             width = abs(x[row, j]) + abs(y[row, j])
             steep = y[row, j] / width if width > 0 else 0.0
             angle[j] = steep if x[row, j] >= 0 else 2 - steep
-        order = np.argsort(angle, kind="mergesort")  # equal ones stay in order
+            place = j  # by insertion, as there are few; equal ones stay in order
+            while place > 0 and angle[order[place - 1]] > angle[j]:
+                order[place] = order[place - 1]
+                place -= 1
+            order[place] = j
         size, closed[row] = _hull(x[row], y[row], angle, order, hull)
         sizes[row] = size if size > 1 else 0
         for c in range(sizes[row]):
