@@ -66,9 +66,8 @@ def mesh_cover(mesh: TriangleMesh, mollify_factor: float) -> Cover:
     lengths = side_lengths(points, corners, mollify_factor)
     corners, lengths, twins, copies = cover_of_faces(points, corners, lengths)
     make_delaunay(corners, lengths, twins)
-    stiffness, mass = laplacian_of(
-        corners, lengths, twins, np.arange(mesh.n, dtype=np.int32), copies
-    )
+    names = np.arange(mesh.n, dtype=np.int32)
+    stiffness, mass = laplacian_of(corners, lengths, twins, names, copies)
     lengths *= unit[corners[:, :1]]
     boundary = np.empty(0, dtype=np.int64) if copies == 1 else mesh.boundary_vertices
     return Cover(corners, lengths, copies, boundary, stiffness, mass * unit**2)
@@ -159,7 +158,8 @@ def cloud_cover(
             advice="remove such curves first",
         )
     boundary = np.sort(at_boundary).astype(np.int64)
-    return Cover(corners, lengths * unit, copies, boundary, stiffness, mass * unit**2)
+    lengths *= unit
+    return Cover(corners, lengths, copies, boundary, stiffness, mass * unit**2)
 
 
 def _front_and_back(
@@ -219,9 +219,8 @@ def laplacian_of(
         corners.reshape(-1), lengths.reshape(-1), twins, names, copies
     )
     if not np.isfinite(entries).all():
-        broken = ~np.isfinite(entries) & (
-            columns < np.repeat(np.arange(n), np.diff(ends))
-        )  # each edge once
+        once = columns < np.repeat(np.arange(n), np.diff(ends))  # each edge
+        broken = once & ~np.isfinite(entries)
         raise InvalidInputError(
             "mollify_factor",
             "lengthen the sides of degenerate triangles",

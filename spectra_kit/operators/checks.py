@@ -19,8 +19,6 @@ from spectra_kit.geometry.shapes import (
 from spectra_kit.operators.laplacian import Laplacian
 
 _SMALLEST, _LARGEST = 1e-130, 1e130  # extents, of which squares and products are numbers
-
-
 # Of the squared trace of second moments: above it points are on no line, whatever the rounding.
 _SLIM = 1e-9
 _MIXED = np.array([0x1E3779B97F4A7C15, 0x3F58476D1CE4E5B9, 0x14D049BB133111EB])  # odd, at random
@@ -117,7 +115,9 @@ def check_cloud_usable(cloud: PointCloud, n_neighbors: int) -> tuple[int, float]
     unit = unit_of(cloud)
     points = cloud.points / unit
     check_distinct(points)
-    moments = np.cov(points.T.copy())  # by columns, which takes a fifth of the time
+    columns = points.T.copy()  # a mean takes a fifth of the time along them
+    columns -= columns.mean(axis=1, keepdims=True)
+    moments = columns @ columns.T
     if np.trace(moments) ** 2 - (moments**2).sum() > _SLIM * np.trace(moments) ** 2:
         return min(n_neighbors, cloud.n - 1), unit
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)

@@ -10,7 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
 from spectra_kit._core.many import about, of_similar_size
-from spectra_kit._core.threads import ended_beside, in_threads, single_threaded, single_threaded_blas
+from spectra_kit._core.threads import (
+    ended_beside,
+    in_threads,
+    single_threaded,
+    single_threaded_blas,
+)
 from spectra_kit._core.warn import hearing, tell
 from spectra_kit.errors import SpectraKitWarning
 from spectra_kit.geometry.shapes import Geometry, PointCloud
