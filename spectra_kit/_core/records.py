@@ -108,6 +108,17 @@ def _form(value: object) -> str:
     return repr(dict(value) if isinstance(value, Mapping) else value)
 
 
+def known(kind: type[Thing], **values: Any) -> Thing:
+    """Return a record of values that need no check: its fields, and cached properties of it.
+
+    Arrays become read-only.
+    """
+    made = object.__new__(kind)
+    for name, value in values.items():
+        vars(made)[name] = frozen(value) if isinstance(value, np.ndarray) else value
+    return made
+
+
 class Rebuilt(Brief):
     """Mixin of a frozen dataclass: pickling and copying go through its constructor.
 

@@ -12,9 +12,10 @@ from spectra_kit._core.types import Bools, Floats, Ints, Ints32
 from spectra_kit._core.validate import quantity
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh, distinct_rows
+from spectra_kit.operators._assembly import cotangent_laplacian, mark_outsized
 from spectra_kit.operators._edge_flips import (
     ROUNDING,
-    cotangent_laplacian,
+    both_faces,
     flip_in_order,
     flip_to_delaunay,
     glue,
@@ -23,17 +24,15 @@ from spectra_kit.operators._edge_flips import (
     sides_by_corner,
 )
 from spectra_kit.operators._tufted import tufted_cover
-from spectra_kit.operators.checks import check_cloud_usable, mean_edges, unit_of, units_of
+from spectra_kit.operators.checks import check_cloud_usable, mean_edges, units_of
 from spectra_kit.operators.local_delaunay import FirstStars, local_triangles
-from spectra_kit.operators.triangle_calculus import areas
 
 MOLLIFY, NEIGHBORS = 1e-5, 30  # by default
-_BLOCK = 16_384  # points of one task: fixed, so that nothing depends on the number of threads
+_BLOCK = 4096  # points of one task: fixed, so that nothing depends on the number of threads
 # Of a half-edge, before giving up. Clouds need 0.14 at most, but n slivers that fan out from one
 # point, as in flat parts of technical models, n / 32.
 _FLIPS = 1000
 _LIBRARY = 2e-6  # sums of cotangents so far below zero are zero to the library robust_laplacian
-_CORNERS, _SIDES = [0, 1, 2, 0, 2, 1], [0, 1, 2, 2, 1, 0]  # of a front and its back
 # Circles through the corners of a triangle are no larger, for the distance of the 30th neighbour,
 # between random points on a sphere; along a boundary they are.
 _WIDE = 1.5
@@ -67,7 +66,8 @@ def mesh_cover(mesh: TriangleMesh, mollify_factor: float) -> Cover:
     lengths = side_lengths(points, corners, mollify_factor)
     corners, lengths, twins, copies = cover_of_faces(points, corners, lengths)
     make_delaunay(corners, lengths, twins)
-    stiffness, mass = laplacian_of(corners, lengths, twins, mesh.n, copies)
+    names = np.arange(mesh.n, dtype=np.int32)
+    stiffness, mass = laplacian_of(corners, lengths, twins, names, copies)
     lengths *= unit[corners[:, :1]]
     boundary = np.empty(0, dtype=np.int64) if copies == 1 else mesh.boundary_vertices
     return Cover(corners, lengths, copies, boundary, stiffness, mass * unit**2)
@@ -101,7 +101,7 @@ def tufted_delaunay(
     twins, leads = np.empty(2 * len(edge), np.int32), np.empty(len(edge), np.int32)
     points = mesh.points / mean_edges(mesh)[:, None]
     tufted_cover(points, faces, starts, np.argsort(edge, kind="stable"), twins, leads)
-    corners, lengths = faces[:, _CORNERS].reshape(-1, 3), sides[:, _SIDES].reshape(-1, 3)
+    corners, lengths = both_faces(faces, sides)
     most = _FLIPS * len(twins)
     ended, flipped, before = flip_in_order(
         corners.reshape(-1), lengths.reshape(-1), twins, leads, most, _LIBRARY
@@ -115,7 +115,7 @@ def folded(slopes: Floats, copies: int) -> Floats:
     if copies == 1:
         return slopes
     front, back = slopes.reshape(-1, 2, 3).swapaxes(0, 1)
-    return np.asarray(front + back[:, ::-1])  # whose sides run the other way: see `_SIDES`
+    return np.asarray(front + back[:, ::-1])  # whose sides run the other way: see `both_faces`
 
 
 class OrderedCloud(NamedTuple):
@@ -123,7 +123,7 @@ class OrderedCloud(NamedTuple):
 
     cloud: PointCloud
     n_neighbors: int
-    order: Ints
+    order: Ints32
     unit: float
     points: Floats  # in this order and unit, in which any cloud is of a size about 1
 
@@ -131,8 +131,8 @@ class OrderedCloud(NamedTuple):
 def ordered_cloud(cloud: PointCloud, n_neighbors: int) -> OrderedCloud:
     from scipy.spatial import cKDTree  # slow to import
 
-    n_neighbors = check_cloud_usable(cloud, n_neighbors)
-    order, unit = cKDTree(cloud.points).indices, unit_of(cloud)
+    n_neighbors, unit = check_cloud_usable(cloud, n_neighbors)
+    order = cKDTree(cloud.points).indices.astype(np.int32)
     return OrderedCloud(cloud, n_neighbors, order, unit, cloud.points[order] / unit)
 
 
@@ -142,14 +142,13 @@ def cloud_cover(
     cloud, n_neighbors, order, unit, points = ordered
     triangles, closed, reach = local_triangles(points, n_neighbors, first)
     lengths = side_lengths(points, triangles, mollify_factor)
-    boundary = order[_is_boundary(triangles, lengths, closed, reach)]
+    at_boundary = order[_is_boundary(triangles, lengths, closed, reach)]
     corners, lengths, twins = _front_and_back(
         points, triangles, lengths, sides_by_corner(triangles, cloud.n), sharpest=0.0
     )
     make_delaunay(corners, lengths, twins)
-    corners = order[corners].astype(np.int32)
     copies = 6  # three stars, a front and a back
-    stiffness, mass = laplacian_of(corners, lengths, twins, cloud.n, copies)
+    stiffness, mass = laplacian_of(corners, lengths, twins, order, copies)
     if not mass.all():
         raise InvalidInputError(
             "geometry",
@@ -158,7 +157,9 @@ def cloud_cover(
             f" {int(np.argmin(mass))}), whose neighbours lie on one line",
             advice="remove such curves first",
         )
-    return Cover(corners, lengths * unit, copies, boundary, stiffness, mass * unit**2)
+    boundary = np.sort(at_boundary).astype(np.int64)
+    lengths *= unit
+    return Cover(corners, lengths, copies, boundary, stiffness, mass * unit**2)
 
 
 def _front_and_back(
@@ -176,7 +177,7 @@ def _front_and_back(
     twins = np.empty(6 * len(triangles), dtype=np.int32)
     shared = (points, triangles, *sides, sharpest, twins)
     in_threads(glue, ((*shared, *rows) for rows in ranges(len(points), _BLOCK)))
-    return triangles[:, _CORNERS].reshape(-1, 3), lengths[:, _SIDES].reshape(-1, 3), twins
+    return *both_faces(triangles, lengths), twins
 
 
 def make_delaunay(
@@ -207,22 +208,26 @@ def _check_ended(ended: bool, most: int) -> None:
 
 
 def laplacian_of(
-    corners: Ints32, lengths: Floats, twins: Ints32, n: int, copies: int
+    corners: Ints32, lengths: Floats, twins: Ints32, names: Ints32, copies: int
 ) -> tuple[sparse.csr_array, Floats]:
-    """Return stiffness and lumped mass of one copy of the surface."""
+    """Return stiffness and lumped mass of one copy of the surface.
+
+    With corner i at ``names[i]``, which `corners` are written over with.
+    """
+    n = len(names)
     ends, columns, entries, mass = cotangent_laplacian(
-        corners.reshape(-1), lengths.reshape(-1), twins, n
+        corners.reshape(-1), lengths.reshape(-1), twins, names, copies
     )
-    if (broken := ~np.isfinite(entries)).any():
-        broken &= columns < np.repeat(np.arange(n), np.diff(ends))  # each edge once
+    if not np.isfinite(entries).all():
+        once = columns < np.repeat(np.arange(n), np.diff(ends))  # each edge
+        broken = once & ~np.isfinite(entries)
         raise InvalidInputError(
             "mollify_factor",
             "lengthen the sides of degenerate triangles",
             f"{quantity(broken.sum(), 'weight')} of triangles of no area",
             advice="raise it",
         )
-    stiffness = sparse.csr_array((entries / copies, columns, ends), shape=(n, n))
-    return stiffness, mass / copies
+    return sparse.csr_array((entries, columns, ends), shape=(n, n)), mass
 
 
 def _is_boundary(triangles: Ints32, lengths: Floats, closed: Bools, reach: Floats) -> Bools:
@@ -231,7 +236,5 @@ def _is_boundary(triangles: Ints32, lengths: Floats, closed: Bools, reach: Float
     Such triangles fill the bays of a sampled boundary.
     """
     marked = ~closed
-    owners = triangles[:, 0]
-    radii = lengths.prod(axis=1) / (4 * areas(lengths))  # of the circles through the corners
-    marked[owners[radii > _WIDE * reach[owners]]] = True
+    mark_outsized(triangles, lengths, _WIDE * reach, marked)
     return marked

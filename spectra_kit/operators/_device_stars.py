@@ -18,8 +18,9 @@ from spectra_kit._sparse.blocks import device_memory
 from spectra_kit.errors import OutOfMemoryError
 from spectra_kit.operators._hulls import _PARALLEL, _STRAIGHT
 from spectra_kit.operators._planes import _LINE, _THICK
-from spectra_kit.operators.local_delaunay import _BLOCK, _TIE, FirstStars, Stars, nearest_by_tree
+from spectra_kit.operators.local_delaunay import _TIE, FirstStars, Stars, nearest_by_tree
 
+_BLOCK = 16_384  # points
 _ENTRIES = 1 << 24  # of the largest arrays, of which there are about eight at once: 1 GB
 # Points of a cloud whose distances are all computed, work that grows with their square; they have
 # names of so many bits. Neighbours of more are found by a tree, in the threads of the host.
@@ -62,7 +63,8 @@ def _first_stars(clouds: Sequence[Floats], k: int, device: torch.device) -> Iter
     end = 0
     for n in map(len, clouds):
         start, end = end, end + n
-        own, (sizes, closed, lined) = found[start:end, :k], found[start:end, k:].T
+        own = found[start:end, :k]
+        sizes, closed, lined = np.ascontiguousarray(found[start:end, k:].T)
         stars = Stars(np.arange(n), own - start, sizes, closed != 0, lined != 0)
         yield FirstStars(stars, *far[:, start:end])
 

@@ -12,7 +12,6 @@ import math
 
 import numpy as np
 from numba.extending import register_jitable
-from scipy import sparse
 
 from spectra_kit._core.compiled import compiled
 from spectra_kit._core.types import Floats, Ints32
@@ -62,15 +61,37 @@ def _measure_sides(
     return any_thin
 
 
+@compiled()
 def sides_by_corner(triangles: Ints32, n: int) -> tuple[Ints32, Ints32, Ints32]:
     """Sort the sides ``3 t + c`` by their lower corner; return their upper ones beside them.
 
     Those of point i are at ``starts[i]`` to ``starts[i + 1]``.
     """
-    tails, heads = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
-    places = np.minimum(tails, heads), np.arange(len(tails), dtype=np.int32)
-    table = sparse.csr_array((np.maximum(tails, heads), places), shape=(n, len(tails)))
-    return table.indptr, table.indices, table.data
+    starts = np.zeros(n + 2, np.int32)  # of the next point each, which moves to its end
+    sides, uppers = np.empty(3 * len(triangles), np.int32), np.empty(3 * len(triangles), np.int32)
+    for t in range(len(triangles)):
+        for c in range(3):
+            starts[min(triangles[t, c], triangles[t, c - 2]) + 2] += 1
+    for i in range(n):
+        starts[i + 2] += starts[i + 1]
+    for t in range(len(triangles)):
+        for c in range(3):
+            tail, head = triangles[t, c], triangles[t, c - 2]
+            low = min(tail, head) + 1
+            sides[starts[low]], uppers[starts[low]] = 3 * t + c, max(tail, head)
+            starts[low] += 1
+    return starts[:-1], sides, uppers
+
+
+@compiled()
+def both_faces(triangles: Ints32, lengths: Floats) -> tuple[Ints32, Floats]:
+    """Return corners and sides (2 t, 3) of the front and the back of each triangle, in turn."""
+    corners, sides = np.empty((2 * len(triangles), 3), np.int32), np.empty((2 * len(lengths), 3))
+    for t in range(len(triangles)):
+        for c in range(3):
+            corners[2 * t, c] = corners[2 * t + 1, (3 - c) % 3] = triangles[t, c]
+            sides[2 * t, c] = sides[2 * t + 1, 2 - c] = lengths[t, c]
+    return corners, sides
 
 
 @compiled()
@@ -170,12 +191,18 @@ def _glue_edge(
         apex[j] = triangles[t, _BEFORE[c]]
         twins[up[j]], twins[down[j]] = down[j], up[j]
         if d > 1:
-            _direction(points, low, high, apex[j], out[j])
+            i = 0
+            while apex[i] != apex[j]:
+                i += 1
+            if i == j:
+                _direction(points, low, high, apex[j], out, j)
+            for r in range(3):
+                out[j, r] = out[i, r]
     for _ in range(d // 2):
         best, p, q = sharpest, -1, -1
         for i in range(d):
-            for j in range(i + 1, d):
-                if apex[i] != apex[j] and apex[i] != _PAIRED and apex[j] != _PAIRED:
+            for j in range(i + 1, d if apex[i] != _PAIRED else 0):
+                if apex[i] != apex[j] and apex[j] != _PAIRED:
                     dot = out[i, 0] * out[j, 0] + out[i, 1] * out[j, 1] + out[i, 2] * out[j, 2]
                     if dot < best - _TIE:  # the first of equals, whatever the rounding
                         best, p, q = dot, i, j
@@ -187,22 +214,25 @@ def _glue_edge(
 
 
 @register_jitable
-def _direction(points: Floats, low: int, high: int, apex: int, out: Floats) -> None:
-    """Write the unit vector from the line through two points towards a third one."""
+def _direction(points: Floats, low: int, high: int, apex: int, out: Floats, j: int) -> None:
+    """Write the unit vector from the line through two points towards a third one, to row j.
+
+    Views of single rows would take as long to make.
+    """
     along, square = 0.0, 0.0
     for r in range(3):
         edge = points[high, r] - points[low, r]
-        out[r] = points[apex, r] - points[low, r]
-        along += edge * out[r]
+        out[j, r] = points[apex, r] - points[low, r]
+        along += edge * out[j, r]
         square += edge * edge
     norm = 0.0
     for r in range(3):
         if square > 0:
-            out[r] -= along / square * (points[high, r] - points[low, r])
-        norm += out[r] * out[r]
+            out[j, r] -= along / square * (points[high, r] - points[low, r])
+        norm += out[j, r] * out[j, r]
     if norm > 0:
         for r in range(3):
-            out[r] /= math.sqrt(norm)
+            out[j, r] /= math.sqrt(norm)
 
 
 @compiled(error_model="numpy")
@@ -408,60 +438,3 @@ def _next(h: int) -> int:
 @register_jitable
 def _previous(h: int) -> int:
     return h + 2 if h % 3 == 0 else h - 1
-
-
-@compiled(error_model="numpy")
-def cotangent_laplacian(
-    tails: Ints32, lengths: Floats, twins: Ints32, n: int
-) -> tuple[Ints32, Ints32, Floats, Floats]:
-    """Return the stiffness, by rows with ascending columns, and the lumped mass.
-
-    Sorted by columns first, then by rows: each pass keeps the order of the one before, so entries
-    that meet are added in the order of their edges, the same on both sides of the diagonal.
-    """
-    starts, mass = np.zeros(n + 1, np.int64), np.zeros(n)
-    cotangents = np.empty(len(twins))
-    for h in range(0, len(twins), 3):
-        a, b, c = lengths[h], lengths[h + 1], lengths[h + 2]
-        area = _area(lengths, h)
-        cotangents[h] = (b * b + c * c - a * a) / (4 * area)
-        cotangents[h + 1] = (c * c + a * a - b * b) / (4 * area)
-        cotangents[h + 2] = (a * a + b * b - c * c) / (4 * area)
-        for g in range(h, h + 3):
-            mass[tails[g]] += area / 3
-            starts[tails[g] + 1] += tails[g] != tails[twins[g]]
-    for i in range(n):
-        starts[i + 1] += starts[i]
-    at = starts[:-1].copy()
-    rows, weights = np.empty(starts[n], np.int32), np.empty(starts[n])
-    for h in range(len(twins)):
-        i, j = tails[h], tails[twins[h]]
-        if h < twins[h] and i != j:
-            weight = (cotangents[h] + cotangents[twins[h]]) / 2
-            rows[at[i]], rows[at[j]] = j, i
-            weights[at[i]] = weights[at[j]] = weight
-            at[i] += 1
-            at[j] += 1
-    columns, entries = np.empty(starts[n] + n, np.int32), np.zeros(starts[n] + n)
-    own = np.empty(n, np.int64)
-    for i in range(n):
-        at[i] = starts[i] + i  # with a place for the diagonal
-    for j in range(n):
-        columns[at[j]], own[j] = j, at[j]
-        at[j] += 1
-        for p in range(starts[j], starts[j + 1]):
-            i = rows[p]
-            if at[i] == starts[i] + i or columns[at[i] - 1] != j:
-                columns[at[i]] = j
-                at[i] += 1
-            entries[at[i] - 1] -= weights[p]
-    ends, tail = np.zeros(n + 1, np.int32), 0
-    for i in range(n):
-        diagonal, shift = 0.0, starts[i] + i - tail
-        for p in range(starts[i] + i, at[i]):
-            diagonal -= entries[p]
-        entries[own[i]] = diagonal
-        for p in range(tail, at[i] - shift):
-            columns[p], entries[p] = columns[p + shift], entries[p + shift]
-        tail = ends[i + 1] = at[i] - shift
-    return ends, columns[:tail].copy(), entries[:tail].copy(), mass

@@ -23,7 +23,7 @@ def hulls(x: Floats, y: Floats, names: Ints32, links: Ints32, sizes: Ints32, clo
     whether the origin is inside. Else it is the corner before the first.
     """
     k = x.shape[1]
-    angle = np.empty(k)
+    angle, order = np.empty(k), np.empty(k, np.int64)
     hull = np.empty(k + 1, np.int64)
     for row in range(len(x)):
         for j in range(k):
@@ -31,11 +31,34 @@ def hulls(x: Floats, y: Floats, names: Ints32, links: Ints32, sizes: Ints32, clo
             width = abs(x[row, j]) + abs(y[row, j])
             steep = y[row, j] / width if width > 0 else 0.0
             angle[j] = steep if x[row, j] >= 0 else 2 - steep
-        order = np.argsort(angle, kind="mergesort")  # equal ones stay in order
+            place = j  # by insertion, as there are few; equal ones stay in order
+            while place > 0 and angle[order[place - 1]] > angle[j]:
+                order[place] = order[place - 1]
+                place -= 1
+            order[place] = j
         size, closed[row] = _hull(x[row], y[row], angle, order, hull)
         sizes[row] = size if size > 1 else 0
         for c in range(sizes[row]):
             links[row, c] = names[row, hull[c]]
+
+
+@compiled()
+def star_triangles(
+    rows: NDArray[np.int64], links: Ints32, sizes: Ints32, closed: Bools, of: Bools
+) -> Ints32:
+    """Return the triangles (t, 3) of the stars of some points, which are their first corners."""
+    count = 0
+    for row in range(len(rows)):
+        if of[row]:
+            count += sizes[row] if closed[row] else max(sizes[row] - 1, 0)
+    triangles, t = np.empty((count, 3), np.int32), 0
+    for row in range(len(rows)):
+        if of[row]:
+            for c in range(sizes[row] if closed[row] else sizes[row] - 1):
+                triangles[t, 0], triangles[t, 1] = rows[row], links[row, c]
+                triangles[t, 2] = links[row, (c + 1) % sizes[row]]
+                t += 1
+    return triangles
 
 
 @register_jitable

@@ -57,7 +57,13 @@ def project(
                 moments[r, s] -= sums[r] * sums[s] / total
                 moments[s, r] = moments[r, s]
         _diagonalize(moments, axes)
-        least, middle, most = np.argsort(np.array([moments[0, 0], moments[1, 1], moments[2, 2]]))
+        least, middle, most = 0, 1, 2  # `np.argsort` takes longer than all of the sums
+        if moments[1, 1] < moments[0, 0]:
+            least, middle = 1, 0
+        if moments[2, 2] < moments[middle, middle]:
+            middle, most = 2, middle
+        if moments[middle, middle] < moments[least, least]:
+            least, middle = middle, least
         across, spread = moments[middle, middle], moments[most, most]
         # Noise spreads a line to either side alike.
         straight = across - moments[least, least] < _LINE * spread

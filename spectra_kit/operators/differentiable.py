@@ -111,7 +111,8 @@ def _delaunay(
         sides, unmollified = lengthened_by_component(mesh, _MOLLIFY)
         corners, lengths, twins, flips = _cover.tufted_delaunay(mesh, sides)
         copies = 2
-        _check_same(built, *_cover.laplacian_of(corners, lengths, twins, mesh.n, copies), unit)
+        names = np.arange(mesh.n, dtype=np.int32)
+        _check_same(built, *_cover.laplacian_of(corners, lengths, twins, names, copies), unit)
     else:
         sides, unmollified = lengthened_by_corner(mesh, _MOLLIFY)
         faces = mesh.faces.astype(np.int32)

@@ -12,9 +12,15 @@ from scipy import sparse
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
-from spectra_kit._core.records import Rebuilt, frozen
+from spectra_kit._core.records import Rebuilt, frozen, known
 from spectra_kit._core.types import Floats, Ints, Ints32
-from spectra_kit._core.validate import check_indices, check_positive, quantity, real_array
+from spectra_kit._core.validate import (
+    check_indices,
+    check_mass,
+    check_positive,
+    quantity,
+    real_array,
+)
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.seams import warn_of_seams
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
@@ -271,9 +277,28 @@ def cloud_triangulation(
 def _of_cover(
     cover: Cover, geometry: Geometry, operator: str, seconds: float
 ) -> IntrinsicTriangulation:
-    laplacian = Laplacian(
-        cover.stiffness, cover.mass, geometry.points, operator=operator, seconds=seconds
+    from spectra_kit.operators._assembly import components
+
+    stiffness, fixed = cover.stiffness, np.empty(0, dtype=np.int64)
+    for buffer in (stiffness.data, stiffness.indices, stiffness.indptr):
+        buffer.flags.writeable = False
+    laplacian = known(
+        Laplacian,
+        stiffness=stiffness,
+        mass=check_mass("mass", cover.mass, geometry.n),
+        points=geometry.points,
+        operator=operator,
+        seconds=seconds,
+        fixed=fixed,
+        consistent_mass=None,
+        dimension=2,
+        component_labels=components(stiffness.indptr, stiffness.indices),
     )
-    return IntrinsicTriangulation(
-        cover.corners, cover.lengths, 1 / cover.copies, cover.boundary, laplacian
+    return known(
+        IntrinsicTriangulation,
+        corners=cover.corners,
+        lengths=cover.lengths,
+        share=1 / cover.copies,
+        boundary=cover.boundary,
+        laplacian=laplacian,
     )

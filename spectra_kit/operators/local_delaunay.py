@@ -7,17 +7,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._core.threads import in_threads, ranges, thread_count
+from spectra_kit._core.threads import in_threads, ranges
 from spectra_kit._core.types import Bools, Floats, Ints32
 from spectra_kit.errors import InvalidInputError
 
-_BLOCK = 16_384  # points of one task: fixed, so that nothing depends on the number of threads
+_BLOCK = 4096  # points of one task: fixed, so that nothing depends on the number of threads
 _TIE = 1e-7  # weight of a point, of its squared distance to the nearest: decides between diagonals
 # Half of the neighbours are nearer than 0.71 of the last on a plane, than 0.5 along a curve.
 _HALF = 0.6
 _PATIENCE = 2  # doublings after the first plane
 _WIDEST = 960  # neighbours: lines 100 times further apart than the points on them
-_ENTRIES = _BLOCK * 32  # neighbours of points that are held at once
+_ENTRIES = 1 << 19  # neighbours of points that are held at once
 _SMALLEST = 1e-150  # distance of two points, in the unit of the cloud: its square must be a number
 
 
@@ -109,13 +109,9 @@ class Stars(NamedTuple):
 
     def triangles(self, of: Bools) -> Ints32:
         """Return the triangles of those points."""
-        rows, links, sizes, closed, _ = (array[of] for array in self)
-        counts = np.where(closed, sizes, np.maximum(sizes - 1, 0))
-        owner = np.repeat(np.arange(len(rows)), counts)
-        corner = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
-        following = (corner + 1) % sizes[owner]
-        triangles = np.column_stack([rows[owner], links[owner, corner], links[owner, following]])
-        return triangles.astype(np.int32)
+        from spectra_kit.operators._hulls import star_triangles  # numba is slow to import
+
+        return star_triangles(*self[:-1], of)
 
 
 def _tree(points: Floats) -> Any:
@@ -127,9 +123,12 @@ def _tree(points: Floats) -> Any:
 def _nearest(tree: Any, rows: NDArray[np.int64], k: int) -> tuple[Ints32, Floats, Floats, Floats]:
     """Return the k neighbours (p, k) of some points; how far first, middle and last are, (p,)."""
     near, distances = np.empty((len(rows), k), dtype=np.int32), np.empty((3, len(rows)))
-    for b in (slice(*cut) for cut in ranges(len(rows), _BLOCK)):
-        distance, index = tree.query(tree.data[rows[b]], k + 1, workers=thread_count())
+
+    def block(b: slice) -> None:
+        distance, index = tree.query(tree.data[rows[b]], k + 1)
         near[b], distances[:, b] = index[:, 1:], distance[:, [1, k // 2, k]].T
+
+    in_threads(block, ((slice(*cut),) for cut in ranges(len(rows), _BLOCK)))
     return near, *distances
 
 

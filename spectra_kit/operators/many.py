@@ -10,7 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal
 from spectra_kit._core.checked import checked
 from spectra_kit._core.clock import Clock
 from spectra_kit._core.many import about, of_similar_size
-from spectra_kit._core.threads import ended_beside, in_threads, single_threaded
+from spectra_kit._core.threads import (
+    ended_beside,
+    in_threads,
+    single_threaded,
+    single_threaded_blas,
+)
 from spectra_kit._core.warn import hearing, tell
 from spectra_kit.errors import SpectraKitWarning
 from spectra_kit.geometry.shapes import Geometry, PointCloud
@@ -93,9 +98,10 @@ def laplacian_many(
             own = laplacian(geometries[i], operator=operator, boundary=boundary, mass=mass)
             return i, own, heard
 
-    built = in_threads(one, [(i,) for i in range(len(geometries)) if i not in clouds])
-    for some in _built(clouds, device, partial(in_threads, one)):
-        built += some
+    with single_threaded_blas():  # once: each of them would set it and restore it
+        built = in_threads(one, [(i,) for i in range(len(geometries)) if i not in clouds])
+        for some in _built(clouds, device, partial(in_threads, one)):
+            built += some
     built.sort(key=itemgetter(0))
     for i, _, heard in built:
         for told in heard:

@@ -30,7 +30,7 @@ from spectra_kit.geometry.winding import (
     sides_of,
     turn,
 )
-from spectra_kit.operators.checks import check_cloud_usable, check_faces_usable, unit_of, units_of
+from spectra_kit.operators.checks import check_cloud_usable, check_faces_usable, units_of
 from spectra_kit.operators.local_delaunay import local_triangles
 
 _BLOCK = 1024  # triangles
@@ -365,10 +365,9 @@ def _oriented_local_triangles(cloud: PointCloud, n_neighbors: int) -> tuple[Ints
     """Return triangles of shape (f, 3), their areas, and the share whose corners agree."""
     from scipy.spatial import cKDTree  # slow to import
 
-    n_neighbors = check_cloud_usable(cloud, n_neighbors)
+    n_neighbors, unit = check_cloud_usable(cloud, n_neighbors)
     # Neighbours in space become neighbours in memory; any unit of length becomes about 1.
     order = cKDTree(cloud.points).indices
-    unit = unit_of(cloud)
     points = cloud.points[order] / unit
     faces = local_triangles(points, n_neighbors)[0].astype(np.int64)
     owners = faces[:, 0]

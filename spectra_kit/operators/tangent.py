@@ -187,7 +187,7 @@ def stars(geometry: Geometry, points: Floats, n_neighbors: int, faces: Ints | No
         check_faces_usable(geometry)
         corners = geometry.faces if faces is None else faces
         return np.concatenate([np.roll(corners, -c, axis=1) for c in range(3)])
-    n_neighbors = check_cloud_usable(geometry, n_neighbors)
+    n_neighbors, _ = check_cloud_usable(geometry, n_neighbors)
     return local_triangles(points, n_neighbors)[0].astype(np.int64)
 
 

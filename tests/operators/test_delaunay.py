@@ -1,5 +1,7 @@
 """`delaunay_laplacian` of clouds, and the kernels under it."""
 
+from copy import copy
+
 import numpy as np
 import pytest
 import robust_laplacian as library
@@ -22,6 +24,7 @@ from spectra_kit.geometry import rectangle, sphere, torus
 from spectra_kit.operators import (
     _cover,
     delaunay_laplacian,
+    intrinsic_delaunay,
     local_delaunay,
     oriented_triangles,
 )
@@ -260,6 +263,29 @@ def test_the_cover_with_less_ado_has_the_same_operator(shape) -> None:
     cover, laplacian = _cover.plain_cover(shape), delaunay_laplacian(shape)
     np.testing.assert_array_equal(cover.stiffness.toarray(), laplacian.stiffness.toarray())
     np.testing.assert_array_equal(cover.mass, laplacian.mass)
+
+
+@pytest.mark.parametrize("name", CLOUDS)
+def test_what_it_leaves_unchecked_holds(name: str) -> None:
+    cloud = PointCloud(CLOUDS[name]())
+    found = intrinsic_delaunay(cloud)
+    L, again = found.laplacian, copy(found.laplacian)  # through the constructor, which checks
+    for part in ("data", "indices", "indptr"):
+        one, other = (getattr(made.stiffness, part) for made in (L, again))
+        np.testing.assert_array_equal(one, other, strict=True)
+        assert not one.flags.writeable
+    assert set(vars(again)) <= set(vars(L))
+    for part in ("mass", "points", "fixed", "component_labels"):
+        np.testing.assert_array_equal(getattr(L, part), getattr(again, part), strict=True)
+        assert not getattr(L, part).flags.writeable
+    for part in ("corners", "lengths", "boundary"):
+        one, other = (getattr(made, part) for made in (found, copy(found)))
+        np.testing.assert_array_equal(one, other, strict=True)
+        assert not one.flags.writeable
+
+
+def test_points_that_differ_by_the_sign_of_a_zero_are_one() -> None:
+    refused("geometry", "have distinct", delaunay_laplacian, [*POINTS, [0.0, 2, 2], [-0.0, 2, 2]])
 
 
 def test_parts_that_look_like_lines_of_one_surface_are_told() -> None:
