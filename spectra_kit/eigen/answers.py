@@ -48,13 +48,12 @@ def of_checked_form(pairs: Eigenpairs, solver: Eigensolver, shape: tuple[int, in
 def ascending(pairs: Eigenpairs) -> Eigenpairs:
     """Return the pairs ascending and none negative, eigenvectors without a copy where they are."""
     values, vectors, errors = pairs.eigenvalues, pairs.eigenvectors, pairs.errors
-    order = np.argsort(values, kind="stable")
-    if not np.array_equal(order, np.arange(len(order))):
-        vectors = vectors[:, order]
+    if not (values[1:] >= values[:-1]).all():
+        order = np.argsort(values, kind="stable")
+        values, vectors = values[order], vectors[:, order]
+        errors = None if errors is None else np.asarray(errors)[order]
     return pairs._replace(
-        eigenvalues=np.maximum(values[order], 0.0),
-        eigenvectors=vectors,
-        errors=None if errors is None else np.asarray(errors)[order],
+        eigenvalues=np.maximum(values, 0.0), eigenvectors=vectors, errors=errors
     )
 
 
@@ -111,13 +110,13 @@ def with_exact_constant(laplacian: Laplacian, pairs: Eigenpairs) -> Eigenpairs:
     """
     constant = 1 / np.sqrt(laplacian.area)
     with blas_threads_for(pairs.eigenvectors.size):
-        cosines = constant * (laplacian._row_sums @ pairs.eigenvectors)
+        cosines = constant * laplacian._row_sums.dot(pairs.eigenvectors)
     if not laplacian.kernel_dimension or not abs(cosines @ cosines - 1) <= _CONSTANT:
         return pairs
-    near = np.abs(cosines) >= min(_CONSTANT, np.abs(cosines).max())
+    near = np.flatnonzero(np.abs(cosines) >= min(_CONSTANT, np.abs(cosines).max()))
     values, vectors = pairs.eigenvalues.copy(), less(pairs.eigenvectors, constant * cosines)
     others: tuple[Floats, Floats] = np.empty(0), np.empty((laplacian.n, 0))
-    if near.sum() > 1:
+    if len(near) > 1:
         # The first axis goes to the constant, the others span what else these modes span.
         axes = np.linalg.qr(cosines[near, None], mode="complete")[0]
         rest = vectors[:, near] @ axes[:, 1:]
@@ -127,7 +126,7 @@ def with_exact_constant(laplacian: Laplacian, pairs: Eigenpairs) -> Eigenpairs:
     if errors is not None and cosines[near][0] ** 2 > _ALONE:
         raised = np.minimum(raised, np.sort(values[near])[1:])
     values[near] = np.append(-1.0, raised)  # the constant comes first
-    vectors[:, near] = np.column_stack([np.full(laplacian.n, constant), others[1]])
+    vectors[:, near[0]], vectors[:, near[1:]] = constant, others[1]
     if errors is not None:  # each of the others may be as far off as any that it is made of
         errors = np.array(errors)
         errors[near] = np.append(0.0, np.full(len(others[0]), errors[near].max()))

@@ -234,13 +234,13 @@ class _Run:
             laplacian._weights,
             dimension=laplacian.dimension,
         )
-        certificate = certificate_of(spectrum, laplacian)
+        certificate = certificate_of(spectrum, laplacian, pairs.errors)
         if (error := certificate.orthonormality_error) > _ORTHONORMAL:
             raise InvalidSpectrumError(
                 f"{self.name} returned modes that are not M-orthonormal: |U^T M U - I| is"
                 f" {error:.2e}"
             )
-        certificate = with_excess(replace(certificate, errors=pairs.errors), spectrum, laplacian)
+        certificate = with_excess(certificate, spectrum, laplacian)
         self.components.book("certify", time.perf_counter() - begin)
         return spectrum, certificate
 

@@ -234,6 +234,8 @@ class Laplacian(Rebuilt):
         sums, rounding = self._sums
         others = rounding / _ROUNDING - diagonal
         beside = np.where(np.abs(sums) > rounding, np.minimum(diagonal, others), diagonal)
+        if self.dimension == 2:
+            return diagonal, beside
         grown = self.mass ** (1 - 2 / self.dimension)
         return diagonal / grown, beside / grown
 
@@ -253,7 +255,7 @@ class Laplacian(Rebuilt):
         labels[self.free] = connected_components(graph, directed=False)[1]
         return frozen(labels)
 
-    @property
+    @cached
     def n_components(self) -> int:
         """Number of connected components of the free points."""
         return int(self.component_labels.max()) + 1
@@ -487,11 +489,16 @@ def with_zero_sums(stiffness: sparse.sparray) -> sparse.csr_array:
 
 def _medians(values: Floats, labels: Ints) -> Floats:
     """Return the median of the values of each label."""
-    sizes, ascending = np.bincount(labels), values[np.lexsort((values, labels))]
+    sizes = np.bincount(labels)
+    ascending = np.sort(values) if len(sizes) == 1 else values[np.lexsort((values, labels))]
     first = np.cumsum(sizes) - sizes
     return np.asarray((ascending[first + (sizes - 1) // 2] + ascending[first + sizes // 2]) / 2)
 
 
 def _row_sums(stiffness: sparse.csr_array) -> tuple[Floats, Floats]:
     """Return the sum of each row, and what rounding can make of one that is zero."""
-    return np.asarray(stiffness.sum(axis=1)), _ROUNDING * np.asarray(abs(stiffness).sum(axis=1))
+    rows = np.flatnonzero(np.diff(stiffness.indptr))  # that are not empty, as scipy does it
+    starts, sums = stiffness.indptr[rows], np.zeros((2, stiffness.shape[0]))
+    for data, found in zip((stiffness.data, np.abs(stiffness.data)), sums, strict=True):
+        found[rows] = np.add.reduceat(data, starts)
+    return sums[0], _ROUNDING * sums[1]
