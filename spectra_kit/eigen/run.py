@@ -87,7 +87,7 @@ def solve(
 
     Of a whole operator (`is_whole`) a function may be `begun` that does what is left to do.
     """
-    if any(units := Units.of(laplacian)):
+    if begun is None and any(units := Units.of(laplacian)):
         return _in_units(units, laplacian, k, solver)
     try:
         return _Run(laplacian, k, solver, begun).solved()

@@ -205,11 +205,11 @@ class Laplacian(Rebuilt):
     def _rounding(self) -> float:
         """Bound on rounding in ``M^-1/2 L M^-1/2 u``, and what one triangle hides of asymmetry."""
         L, scale = self.stiffness, 1 / np.sqrt(self._diagonal * self._least_weight)
-        magnitude = scale * (abs(L) @ scale)
-        turned, asymmetry = L.T.tocsr(), 0.0
+        magnitude = scale * (sparse.csr_array((np.abs(L.data), L.indices, L.indptr), shape=L.shape) @ scale)
+        turned, asymmetry = L.tocsc(), 0.0  # whose arrays are those of the transpose's rows
         parts = (L.data, turned.data), (L.indices, turned.indices), (L.indptr, turned.indptr)
         if not all(np.array_equal(*both) for both in parts):
-            asymmetry = float((scale * (abs(L - turned) @ scale)).max())
+            asymmetry = float((scale * (abs(L - turned.T) @ scale)).max())
         longest = int(np.diff(L.indptr).max())
         return float((longest + 4) * _EPS * magnitude.max()) + asymmetry
 
