@@ -57,7 +57,7 @@ class Components:
     def solved(self, k: int, solver: Eigensolver) -> Eigenpairs:
         """Solve each component, merge the k lowest pairs of all, eigenvectors padded with zeros."""
         laplacian = self.laplacian
-        if laplacian.n_components == 1 and not len(laplacian.fixed):
+        if laplacian._in_one_piece:
             self.parts = [laplacian.free]
             self.alone(0, laplacian, k, solver)
             return self.found.pop(0)

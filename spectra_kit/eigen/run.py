@@ -72,9 +72,8 @@ class Units(NamedTuple):
 
 def is_whole(laplacian: Laplacian) -> bool:
     """Whether this is solved as it is: lumped, one component, all of it free, of ordinary size."""
-    if laplacian.consistent_mass is not None:
-        return False
-    return laplacian.n_components == 1 and not len(laplacian.fixed) and not any(Units.of(laplacian))
+    lumped = laplacian.consistent_mass is None
+    return lumped and laplacian._in_one_piece and not any(Units.of(laplacian))
 
 
 def solve(

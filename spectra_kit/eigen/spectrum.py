@@ -104,7 +104,7 @@ class Spectrum(Rebuilt):
                 vectors.shape,
                 advice="transposed?" if vectors.shape == (len(values), len(mass)) else "",
             )
-        if np.any(np.diff(values) < 0) or (len(values) and values[0] < 0):
+        if (values[1:] < values[:-1]).any() or (len(values) and values[0] < 0):
             raise InvalidSpectrumError(
                 "eigenvalues",
                 "be non-negative and ascending",

@@ -140,16 +140,17 @@ class Laplacian(Rebuilt):
         cube, ``5/2 median(L_ii / M_ii^(1/3)) / (tr M)^(2/3)``: free of h too, and in a grid of
         cubes near Weyl's ``(6 pi^2 / volume)^(2/3)``.
         """
-        alone = np.zeros(self.n, dtype=np.int64)
-        return float(self._typical(*self._held, alone)[0] / self.area ** (2 / self.dimension))
+        return self._typical_of_all / self.area ** (2 / self.dimension)
 
     @cached_property
     def component_spacings(self) -> Floats:
         """`eigenvalue_spacing` of each connected component alone, shape (n_components,)."""
-        labels, (diagonal, beside) = self.component_labels[self.free], self._held
-        typical = self._typical(diagonal[self.free], beside[self.free], labels)
-        sizes = np.bincount(labels, self.mass[self.free])
-        return frozen(typical / sizes ** (2 / self.dimension))
+        labels, mass = self.component_labels[self.free], self.mass[self.free]
+        if self._in_one_piece:
+            typical: Any = self._typical_of_all
+        else:
+            typical = self._typical(*(held[self.free] for held in self._held), labels)
+        return frozen(typical / np.bincount(labels, mass) ** (2 / self.dimension))
 
     @cached
     def _elimination(self) -> Elimination:
@@ -213,6 +214,11 @@ class Laplacian(Rebuilt):
         longest = int(np.diff(L.indptr).max())
         return float((longest + 4) * _EPS * magnitude.max()) + asymmetry
 
+    @cached
+    def _typical_of_all(self) -> float:
+        """`_typical` of all points together."""
+        return float(self._typical(*self._held, np.zeros(self.n, dtype=np.int64))[0])
+
     def _typical(self, diagonal: Floats, beside: Floats, labels: Ints) -> Floats:
         """Return the spacing of each component, by label, if its mass were one.
 
@@ -259,6 +265,11 @@ class Laplacian(Rebuilt):
     def n_components(self) -> int:
         """Number of connected components of the free points."""
         return int(self.component_labels.max()) + 1
+
+    @property
+    def _in_one_piece(self) -> bool:
+        """Whether all points are free, and one component."""
+        return self.n_components == 1 and not len(self.fixed)
 
     @cached_property
     def constant_components(self) -> NDArray[np.bool_]:
