@@ -52,7 +52,8 @@ class Units(NamedTuple):
         """Return those of an operator; zeros where it is of ordinary size, within 1e9 of one."""
         d = laplacian.dimension
         length = round(float(np.log2(laplacian.mass.max()) + np.log2(laplacian.n)) / d)
-        typical = float(np.median(laplacian.stiffness.diagonal()))  # needles may be far above it
+        held = np.sort(laplacian.stiffness.diagonal())
+        typical = float(held[laplacian.n // 2])  # needles may be far above it
         # Beyond what L grows with the length: not at all on a surface, as it does in a volume.
         energy = round(np.log2(typical)) - (d - 2) * length if typical > 0 else 0
         return cls(*(0 if abs(power) <= _ORDINARY else power for power in (length, energy)))
