@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spectra_kit._core.threads import blas_threads_for
-from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.types import Ints
 from spectra_kit._sparse.host import less
 from spectra_kit._sparse.ritz import ritz_rotation
 from spectra_kit.eigen.base import Eigenpairs, Eigensolver, NotConvergedError
@@ -53,7 +53,9 @@ def ascending(pairs: Eigenpairs) -> Eigenpairs:
         values, vectors = values[order], vectors[:, order]
         errors = None if errors is None else np.asarray(errors)[order]
     return pairs._replace(
-        eigenvalues=np.maximum(values, 0.0), eigenvectors=vectors, errors=errors
+        eigenvalues=np.maximum(values, 0.0),
+        eigenvectors=vectors,
+        errors=None if errors is None else np.array(errors),  # the solver may keep its own
     )
 
 

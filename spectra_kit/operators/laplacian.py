@@ -140,7 +140,7 @@ class Laplacian(Rebuilt):
         cube, ``5/2 median(L_ii / M_ii^(1/3)) / (tr M)^(2/3)``: free of h too, and in a grid of
         cubes near Weyl's ``(6 pi^2 / volume)^(2/3)``.
         """
-        return self._typical_of_all / self.area ** (2 / self.dimension)
+        return float(self._typical_of_all / self.area ** (2 / self.dimension))
 
     @cached_property
     def component_spacings(self) -> Floats:
@@ -149,7 +149,8 @@ class Laplacian(Rebuilt):
         if self._in_one_piece:
             typical: Any = self._typical_of_all
         else:
-            typical = self._typical(*(held[self.free] for held in self._held), labels)
+            diagonal, beside = self._held
+            typical = self._typical(diagonal[self.free], beside[self.free], labels)
         return frozen(typical / np.bincount(labels, mass) ** (2 / self.dimension))
 
     @cached
@@ -206,7 +207,8 @@ class Laplacian(Rebuilt):
     def _rounding(self) -> float:
         """Bound on rounding in ``M^-1/2 L M^-1/2 u``, and what one triangle hides of asymmetry."""
         L, scale = self.stiffness, 1 / np.sqrt(self._diagonal * self._least_weight)
-        magnitude = scale * (sparse.csr_array((np.abs(L.data), L.indices, L.indptr), shape=L.shape) @ scale)
+        sizes = sparse.csr_array((np.abs(L.data), L.indices, L.indptr), shape=L.shape)
+        magnitude = scale * (sizes @ scale)
         turned, asymmetry = L.tocsc(), 0.0  # whose arrays are those of the transpose's rows
         parts = (L.data, turned.data), (L.indices, turned.indices), (L.indptr, turned.indptr)
         if not all(np.array_equal(*both) for both in parts):
@@ -240,7 +242,7 @@ class Laplacian(Rebuilt):
         sums, rounding = self._sums
         others = rounding / _ROUNDING - diagonal
         beside = np.where(np.abs(sums) > rounding, np.minimum(diagonal, others), diagonal)
-        if self.dimension == 2:
+        if self.dimension == 2:  # free of it
             return diagonal, beside
         grown = self.mass ** (1 - 2 / self.dimension)
         return diagonal / grown, beside / grown
@@ -261,7 +263,7 @@ class Laplacian(Rebuilt):
         labels[self.free] = connected_components(graph, directed=False)[1]
         return frozen(labels)
 
-    @cached
+    @cached_property
     def n_components(self) -> int:
         """Number of connected components of the free points."""
         return int(self.component_labels.max()) + 1
@@ -508,8 +510,8 @@ def _medians(values: Floats, labels: Ints) -> Floats:
 
 def _row_sums(stiffness: sparse.csr_array) -> tuple[Floats, Floats]:
     """Return the sum of each row, and what rounding can make of one that is zero."""
-    rows = np.flatnonzero(np.diff(stiffness.indptr))  # that are not empty, as scipy does it
-    starts, sums = stiffness.indptr[rows], np.zeros((2, stiffness.shape[0]))
-    for data, found in zip((stiffness.data, np.abs(stiffness.data)), sums, strict=True):
-        found[rows] = np.add.reduceat(data, starts)
+    some = np.flatnonzero(np.diff(stiffness.indptr))  # `reduceat` knows no empty row
+    starts, sums = stiffness.indptr[some], np.zeros((2, stiffness.shape[0]))
+    for found, data in zip(sums, (stiffness.data, np.abs(stiffness.data)), strict=True):
+        found[some] = np.add.reduceat(data, starts)
     return sums[0], _ROUNDING * sums[1]
