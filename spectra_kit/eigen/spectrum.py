@@ -363,7 +363,7 @@ class Spectrum(Rebuilt):
         free, weights = laplacian.free, self.mass if mass is None else mass
         weights = weights[free] if len(laplacian.fixed) else weights
         if laplacian.n_components == 1:
-            return weights[None]  # in a sparse one, as many would be found one by one
+            return weights[None]  # a row without zeros
         labels = laplacian.component_labels[free]
         return sparse.csr_array((weights, (labels, np.arange(len(free)))))
 
