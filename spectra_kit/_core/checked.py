@@ -48,6 +48,7 @@ def checked(target: Target) -> Target:
 
 def _checked_function(function: Callable[..., Any]) -> Callable[..., Any]:
     signature: _Signature | None = None
+    called = function.__qualname__.removesuffix(".__init__")
 
     @wraps(function)
     def call(*args: Any, **options: Any) -> Any:
@@ -55,7 +56,6 @@ def _checked_function(function: Callable[..., Any]) -> Callable[..., Any]:
         if signature is None:  # at the first call: annotations may name what is defined below
             signature = _signature(function)
         positional, rest, by_name, names, kinds = signature
-        called = function.__qualname__.removesuffix(".__init__")
         if len(args) > len(positional) and by_name and not rest:
             raise InvalidInputError(
                 f"{called} takes its options by name", advice=f"write {called}({by_name[0]}=...)"
@@ -306,8 +306,15 @@ def _mapping(args: tuple[Any, ...]) -> _Kind:
             if item is not None:
                 yield name, thing, item
 
+    def accepts(value: Any) -> bool:  # one by one, `held` would take longer than what it looks at
+        return (
+            isinstance(value, Mapping)
+            and (key is None or all(map(key.accepts, value)))
+            and (item is None or all(map(item.accepts, value.values())))
+        )
+
     words = f"mapping of {_several(key)} to {_several(item)}"
-    return _holding(words, lambda v: isinstance(v, Mapping), held, item)
+    return replace(_holding(words, lambda v: isinstance(v, Mapping), held, item), accepts=accepts)
 
 
 def _holding(

@@ -9,7 +9,7 @@ from numpy.typing import DTypeLike, NDArray
 from scipy import sparse
 
 from spectra_kit._core.records import frozen
-from spectra_kit._core.threads import in_threads, ranges, shares
+from spectra_kit._core.threads import WORTH_SHARING, in_threads, ranges, shares
 from spectra_kit._core.types import Floats, Singles
 from spectra_kit.errors import InvalidInputError
 
@@ -115,12 +115,14 @@ def residual_norms(
     weights = 1 / (np.sqrt(mass) * unit)
     if left_out is not None:
         weights[left_out] = 0.0
+    # To cut rows from a small matrix takes longer than to multiply them.
+    whole = stiffness @ U if U.size <= WORTH_SHARING else None
     blocks = ranges(len(U), _CACHED)
     squares, along = np.empty((2, len(blocks), U.shape[1]))
 
     def measure(i: int, start: int, stop: int) -> None:
         rows = slice(start, stop)
-        r = stiffness[rows] @ U
+        r = stiffness[rows] @ U if whole is None else whole[rows]
         r -= mass[rows, None] * U[rows] * values
         along[i] = np.einsum("ij,ij->j", U[rows], r)
         r *= weights[rows, None]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spectra_kit._core.threads import blas_threads_for
-from spectra_kit._core.types import Floats, Ints
+from spectra_kit._core.types import Ints
 from spectra_kit._sparse.host import less
 from spectra_kit._sparse.ritz import ritz_rotation
 from spectra_kit.eigen.base import Eigenpairs, Eigensolver, NotConvergedError
@@ -48,13 +48,14 @@ def of_checked_form(pairs: Eigenpairs, solver: Eigensolver, shape: tuple[int, in
 def ascending(pairs: Eigenpairs) -> Eigenpairs:
     """Return the pairs ascending and none negative, eigenvectors without a copy where they are."""
     values, vectors, errors = pairs.eigenvalues, pairs.eigenvectors, pairs.errors
-    order = np.argsort(values, kind="stable")
-    if not np.array_equal(order, np.arange(len(order))):
-        vectors = vectors[:, order]
+    if not (values[1:] >= values[:-1]).all():
+        order = np.argsort(values, kind="stable")
+        values, vectors = values[order], vectors[:, order]
+        errors = None if errors is None else np.asarray(errors)[order]
     return pairs._replace(
-        eigenvalues=np.maximum(values[order], 0.0),
+        eigenvalues=np.maximum(values, 0.0),
         eigenvectors=vectors,
-        errors=None if errors is None else np.asarray(errors)[order],
+        errors=None if errors is None else np.array(errors),  # the solver may keep its own
     )
 
 
@@ -111,24 +112,26 @@ def with_exact_constant(laplacian: Laplacian, pairs: Eigenpairs) -> Eigenpairs:
     """
     constant = 1 / np.sqrt(laplacian.area)
     with blas_threads_for(pairs.eigenvectors.size):
-        cosines = constant * (laplacian._row_sums @ pairs.eigenvectors)
+        cosines = constant * laplacian._row_sums.dot(pairs.eigenvectors)
     if not laplacian.kernel_dimension or not abs(cosines @ cosines - 1) <= _CONSTANT:
         return pairs
-    near = np.abs(cosines) >= min(_CONSTANT, np.abs(cosines).max())
+    sizes = np.abs(cosines)
+    first, *more = np.flatnonzero(sizes >= min(_CONSTANT, sizes.max()))
     values, vectors = pairs.eigenvalues.copy(), less(pairs.eigenvectors, constant * cosines)
-    others: tuple[Floats, Floats] = np.empty(0), np.empty((laplacian.n, 0))
-    if near.sum() > 1:
+    errors = None if pairs.errors is None else np.array(pairs.errors)
+    if more:
+        near = [first, *more]
         # The first axis goes to the constant, the others span what else these modes span.
         axes = np.linalg.qr(cosines[near, None], mode="complete")[0]
         rest = vectors[:, near] @ axes[:, 1:]
-        others = ritz_rotation(laplacian.stiffness, laplacian._weights, rest)
-    raised, errors = others[0], pairs.errors
-    # Of loose modes, quotients are further off than what told their values.
-    if errors is not None and cosines[near][0] ** 2 > _ALONE:
-        raised = np.minimum(raised, np.sort(values[near])[1:])
-    values[near] = np.append(-1.0, raised)  # the constant comes first
-    vectors[:, near] = np.column_stack([np.full(laplacian.n, constant), others[1]])
-    if errors is not None:  # each of the others may be as far off as any that it is made of
-        errors = np.array(errors)
-        errors[near] = np.append(0.0, np.full(len(others[0]), errors[near].max()))
+        raised, others = ritz_rotation(laplacian.stiffness, laplacian._weights, rest)
+        # Of loose modes, quotients are further off than what told their values.
+        if errors is not None and cosines[first] ** 2 > _ALONE:
+            raised = np.minimum(raised, np.sort(values[near])[1:])
+        values[more], vectors[:, more] = raised, others
+        if errors is not None:  # each of these may be as far off as any that it is made of
+            errors[more] = errors[near].max()
+    values[first], vectors[:, first] = -1.0, constant  # which comes first
+    if errors is not None:
+        errors[first] = 0.0
     return pairs._replace(eigenvalues=values, eigenvectors=vectors, errors=errors)

@@ -57,16 +57,17 @@ class Components:
     def solved(self, k: int, solver: Eigensolver) -> Eigenpairs:
         """Solve each component, merge the k lowest pairs of all, eigenvectors padded with zeros."""
         laplacian = self.laplacian
-        whole = laplacian.n_components == 1 and not len(laplacian.fixed)
-        parts = self.parts = [laplacian.free] if whole else component_indices(laplacian)
+        if laplacian._in_one_piece:
+            self.parts = [laplacian.free]
+            self.alone(0, laplacian, k, solver)
+            return self.found.pop(0)
+        parts = self.parts = component_indices(laplacian)
         areas = np.array([laplacian.mass[part].sum() for part in parts])
         # Columns of all parts may have few on one, and need the others.
         given = getattr(solver, "subspace", None) or getattr(solver, "start", None)
-        most = [k]
-        at_once = isinstance(solver, Automatic | Dense) and not whole
-        if not whole:
-            every = given is not None or (at_once and are_quick(parts))
-            most = modes_wanted(laplacian, parts, k, all_parts=every).tolist()
+        at_once = isinstance(solver, Automatic | Dense)
+        every = given is not None or (at_once and are_quick(parts))
+        most = modes_wanted(laplacian, parts, k, all_parts=every).tolist()
         # Weyl: a component's share of the low modes is about its share of the area.
         wanted = [
             min(room, math.ceil(1.1 * k * share) + 6)
@@ -76,20 +77,15 @@ class Components:
         lacking: RankError | None = None
         while due:
             alone = set(due)
-            if isinstance(solver, Automatic | Dense) and at_once:
+            if isinstance(solver, Automatic | Dense):
                 # At the cost of some modes these have all: nobody asks for more of them.
                 solved = self.together(due, most, solver)
                 alone -= solved
                 wanted = [most[i] if i in solved else own for i, own in enumerate(wanted)]
             for i in sorted(alone):
-                part = laplacian if whole else self.piece(i)
-                own = solver if whole else restricted(solver, parts[i])
+                part, own = self.piece(i), restricted(solver, parts[i])
                 try:
-                    self.keep(i, self.connected(part, wanted[i], own))
-                except NotConvergedError as error:
-                    if error.pairs is not None:
-                        self.keep(i, error.pairs)
-                    raise
+                    self.alone(i, part, wanted[i], own)
                 except RankError as error:
                     if len(parts) == 1 or given is None or promise_of(solver) != "approximate":
                         raise
@@ -113,7 +109,7 @@ class Components:
                 f" {sum(map(len, values.values()))}",
                 advice="ask for fewer modes or use a larger basis",
             ) from lacking
-        merged = self.found[0] if whole else self.merged(k)
+        merged = self.merged(k)
         self.found.clear()  # gigabytes, while the merged ones are certified
         return merged
 
@@ -167,6 +163,15 @@ class Components:
         if not self.pieces or not rest:
             return [*self.pieces.values()]
         return [*self.pieces.values(), self.laplacian.restricted(np.sort(np.concatenate(rest)))]
+
+    def alone(self, i: int, part: Laplacian, k: int, solver: Eigensolver) -> None:
+        """Solve a component by itself, and keep what is found, of a solver that gives up, too."""
+        try:
+            self.keep(i, self.connected(part, k, solver))
+        except NotConvergedError as error:
+            if error.pairs is not None:
+                self.keep(i, error.pairs)
+            raise
 
     def keep(self, i: int, pairs: Eigenpairs) -> None:
         """Remember what was found of a component, and what was chosen for it."""

@@ -52,7 +52,8 @@ class Units(NamedTuple):
         """Return those of an operator; zeros where it is of ordinary size, within 1e9 of one."""
         d = laplacian.dimension
         length = round(float(np.log2(laplacian.mass.max()) + np.log2(laplacian.n)) / d)
-        typical = float(np.median(laplacian.stiffness.diagonal()))  # needles may be far above it
+        held = np.sort(laplacian.stiffness.diagonal())
+        typical = float(held[laplacian.n // 2])  # needles may be far above it
         # Beyond what L grows with the length: not at all on a surface, as it does in a volume.
         energy = round(np.log2(typical)) - (d - 2) * length if typical > 0 else 0
         return cls(*(0 if abs(power) <= _ORDINARY else power for power in (length, energy)))
@@ -72,9 +73,8 @@ class Units(NamedTuple):
 
 def is_whole(laplacian: Laplacian) -> bool:
     """Whether this is solved as it is: lumped, one component, all of it free, of ordinary size."""
-    if laplacian.consistent_mass is not None:
-        return False
-    return laplacian.n_components == 1 and not len(laplacian.fixed) and not any(Units.of(laplacian))
+    lumped = laplacian.consistent_mass is None
+    return lumped and laplacian._in_one_piece and not any(Units.of(laplacian))
 
 
 def solve(
@@ -87,7 +87,7 @@ def solve(
 
     Of a whole operator (`is_whole`) a function may be `begun` that does what is left to do.
     """
-    if any(units := Units.of(laplacian)):
+    if begun is None and any(units := Units.of(laplacian)):
         return _in_units(units, laplacian, k, solver)
     try:
         return _Run(laplacian, k, solver, begun).solved()
@@ -234,13 +234,13 @@ class _Run:
             laplacian._weights,
             dimension=laplacian.dimension,
         )
-        certificate = certificate_of(spectrum, laplacian)
+        certificate = certificate_of(spectrum, laplacian, pairs.errors)
         if (error := certificate.orthonormality_error) > _ORTHONORMAL:
             raise InvalidSpectrumError(
                 f"{self.name} returned modes that are not M-orthonormal: |U^T M U - I| is"
                 f" {error:.2e}"
             )
-        certificate = with_excess(replace(certificate, errors=pairs.errors), spectrum, laplacian)
+        certificate = with_excess(certificate, spectrum, laplacian)
         self.components.book("certify", time.perf_counter() - begin)
         return spectrum, certificate
 

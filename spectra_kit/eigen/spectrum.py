@@ -104,7 +104,7 @@ class Spectrum(Rebuilt):
                 vectors.shape,
                 advice="transposed?" if vectors.shape == (len(values), len(mass)) else "",
             )
-        if np.any(np.diff(values) < 0) or (len(values) and values[0] < 0):
+        if (values[1:] < values[:-1]).any() or (len(values) and values[0] < 0):
             raise InvalidSpectrumError(
                 "eigenvalues",
                 "be non-negative and ascending",
@@ -276,7 +276,7 @@ class Spectrum(Rebuilt):
                 f"have the dimension {self.dimension} of this spectrum",
                 laplacian.dimension,
             )
-        if not np.allclose(laplacian.mass, self.mass, rtol=_FOREIGN_MASS, atol=0):
+        if not (np.abs(laplacian.mass - self.mass) <= _FOREIGN_MASS * self.mass).all():
             times = laplacian.mass / self.mass
             raise InvalidInputError(
                 "laplacian",
@@ -351,17 +351,20 @@ class Spectrum(Rebuilt):
             return 0
         member = self._by_component(laplacian, laplacian._row_sums)[laplacian.constant_components]
         roots = np.sqrt(np.asarray(member.sum(axis=1)))
-        cosines = (member @ self._on_free(laplacian)) / roots[:, None]
+        cosines = member.dot(self._on_free(laplacian)) / roots[:, None]
         return min(round(float((cosines**2).sum())), laplacian.kernel_dimension)
 
     def _on_free(self, laplacian: Laplacian) -> Floats:
         """The eigenvectors at the free points, not copied where all are."""
         return self.eigenvectors[laplacian.free] if len(laplacian.fixed) else self.eigenvectors
 
-    def _by_component(self, laplacian: Laplacian, mass: Floats | None = None) -> sparse.csr_array:
+    def _by_component(self, laplacian: Laplacian, mass: Floats | None = None) -> Any:
         """The mass of each free point in the row of its component, (n_components, n_free)."""
-        labels, free = laplacian.component_labels[laplacian.free], laplacian.free
-        weights = (self.mass if mass is None else mass)[free]
+        free, weights = laplacian.free, self.mass if mass is None else mass
+        weights = weights[free] if len(laplacian.fixed) else weights
+        if laplacian.n_components == 1:
+            return weights[None]  # a row without zeros
+        labels = laplacian.component_labels[free]
         return sparse.csr_array((weights, (labels, np.arange(len(free)))))
 
     def save(self, path: str | Path) -> None:
@@ -493,8 +496,10 @@ def _is_ours(matrix: Any, n: tuple[int, ...]) -> bool:
     return matrix.dtype == np.float64 and not any(a.flags.writeable for a in _parts(matrix))
 
 
-def certificate_of(spectrum: Spectrum, laplacian: Laplacian) -> Certificate:
-    """Return what `Spectrum.certify` finds."""
+def certificate_of(
+    spectrum: Spectrum, laplacian: Laplacian, errors: Floats | None = None
+) -> Certificate:
+    """Return what `Spectrum.certify` finds, with the `errors` that a solver told."""
     orthonormality_error = spectrum.orthonormality_error()  # with norms, for the residuals
     residuals = spectrum.residuals(laplacian)
     spacing = spectrum._spacings(laplacian)
@@ -505,6 +510,7 @@ def certificate_of(spectrum: Spectrum, laplacian: Laplacian) -> Certificate:
         n_zero_modes=spectrum._kernel_modes(laplacian),
         kernel_dimension=laplacian.kernel_dimension,
         n_components=laplacian.n_components,
+        errors=errors,
     )
 
 

@@ -140,16 +140,18 @@ class Laplacian(Rebuilt):
         cube, ``5/2 median(L_ii / M_ii^(1/3)) / (tr M)^(2/3)``: free of h too, and in a grid of
         cubes near Weyl's ``(6 pi^2 / volume)^(2/3)``.
         """
-        alone = np.zeros(self.n, dtype=np.int64)
-        return float(self._typical(*self._held, alone)[0] / self.area ** (2 / self.dimension))
+        return float(self._typical_of_all / self.area ** (2 / self.dimension))
 
     @cached_property
     def component_spacings(self) -> Floats:
         """`eigenvalue_spacing` of each connected component alone, shape (n_components,)."""
-        labels, (diagonal, beside) = self.component_labels[self.free], self._held
-        typical = self._typical(diagonal[self.free], beside[self.free], labels)
-        sizes = np.bincount(labels, self.mass[self.free])
-        return frozen(typical / sizes ** (2 / self.dimension))
+        labels, mass = self.component_labels[self.free], self.mass[self.free]
+        if self._in_one_piece:
+            typical: Any = self._typical_of_all
+        else:
+            diagonal, beside = self._held
+            typical = self._typical(diagonal[self.free], beside[self.free], labels)
+        return frozen(typical / np.bincount(labels, mass) ** (2 / self.dimension))
 
     @cached
     def _elimination(self) -> Elimination:
@@ -205,13 +207,19 @@ class Laplacian(Rebuilt):
     def _rounding(self) -> float:
         """Bound on rounding in ``M^-1/2 L M^-1/2 u``, and what one triangle hides of asymmetry."""
         L, scale = self.stiffness, 1 / np.sqrt(self._diagonal * self._least_weight)
-        magnitude = scale * (abs(L) @ scale)
-        turned, asymmetry = L.T.tocsr(), 0.0
+        sizes = sparse.csr_array((np.abs(L.data), L.indices, L.indptr), shape=L.shape)
+        magnitude = scale * (sizes @ scale)
+        turned, asymmetry = L.tocsc(), 0.0  # whose arrays are those of the transpose's rows
         parts = (L.data, turned.data), (L.indices, turned.indices), (L.indptr, turned.indptr)
         if not all(np.array_equal(*both) for both in parts):
-            asymmetry = float((scale * (abs(L - turned) @ scale)).max())
+            asymmetry = float((scale * (abs(L - turned.T) @ scale)).max())
         longest = int(np.diff(L.indptr).max())
         return float((longest + 4) * _EPS * magnitude.max()) + asymmetry
+
+    @cached
+    def _typical_of_all(self) -> float:
+        """`_typical` of all points together."""
+        return float(self._typical(*self._held, np.zeros(self.n, dtype=np.int64))[0])
 
     def _typical(self, diagonal: Floats, beside: Floats, labels: Ints) -> Floats:
         """Return the spacing of each component, by label, if its mass were one.
@@ -234,6 +242,8 @@ class Laplacian(Rebuilt):
         sums, rounding = self._sums
         others = rounding / _ROUNDING - diagonal
         beside = np.where(np.abs(sums) > rounding, np.minimum(diagonal, others), diagonal)
+        if self.dimension == 2:  # free of it
+            return diagonal, beside
         grown = self.mass ** (1 - 2 / self.dimension)
         return diagonal / grown, beside / grown
 
@@ -253,10 +263,15 @@ class Laplacian(Rebuilt):
         labels[self.free] = connected_components(graph, directed=False)[1]
         return frozen(labels)
 
-    @property
+    @cached_property
     def n_components(self) -> int:
         """Number of connected components of the free points."""
         return int(self.component_labels.max()) + 1
+
+    @property
+    def _in_one_piece(self) -> bool:
+        """Whether all points are free, and one component."""
+        return self.n_components == 1 and not len(self.fixed)
 
     @cached_property
     def constant_components(self) -> NDArray[np.bool_]:
@@ -487,11 +502,16 @@ def with_zero_sums(stiffness: sparse.sparray) -> sparse.csr_array:
 
 def _medians(values: Floats, labels: Ints) -> Floats:
     """Return the median of the values of each label."""
-    sizes, ascending = np.bincount(labels), values[np.lexsort((values, labels))]
+    sizes = np.bincount(labels)
+    ascending = np.sort(values) if len(sizes) == 1 else values[np.lexsort((values, labels))]
     first = np.cumsum(sizes) - sizes
     return np.asarray((ascending[first + (sizes - 1) // 2] + ascending[first + sizes // 2]) / 2)
 
 
 def _row_sums(stiffness: sparse.csr_array) -> tuple[Floats, Floats]:
     """Return the sum of each row, and what rounding can make of one that is zero."""
-    return np.asarray(stiffness.sum(axis=1)), _ROUNDING * np.asarray(abs(stiffness).sum(axis=1))
+    some = np.flatnonzero(np.diff(stiffness.indptr))  # `reduceat` knows no empty row
+    starts, sums = stiffness.indptr[some], np.zeros((2, stiffness.shape[0]))
+    for found, data in zip(sums, (stiffness.data, np.abs(stiffness.data)), strict=True):
+        found[some] = np.add.reduceat(data, starts)
+    return sums[0], _ROUNDING * sums[1]
