@@ -14,8 +14,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from spectra_kit._sparse.recorded import recorded
-
 _LEAF = 32  # rows up to which cuSOLVER solves a batch at once
 _FEW = 16  # matrices, below which launches cost more than one after the other is expected to
 _STEPS = 14  # to roots of the secular equation: 11 were enough for all matrices tried
@@ -52,14 +50,8 @@ def _on_host(A: Tensor) -> bool:
 
 def divide_and_conquer(A: Tensor, keep: int) -> tuple[Tensor, Tensor]:
     """Return the same eigenvalues and vectors by the way above, whatever the device; n >= 2."""
-    b, n, _ = A.shape
-    if A.device.type == "cuda":  # as many as there is a recording for, or will be
-        more = (1 << (b - 1).bit_length()) - b
-        A = torch.cat([A, torch.eye(n, dtype=A.dtype, device=A.device).expand(more, -1, -1)])
-    leaves, *rest = recorded(_torn, A)
-    found = recorded(_joined, *torch.linalg.eigh(leaves), *rest, n, keep)
-    values, vectors = (part[:b] for part in found)
-    return values, vectors
+    leaves, *rest = _torn(A)
+    return _joined(*torch.linalg.eigh(leaves), *rest, keep)
 
 
 def _size(A: Tensor) -> Tensor:
@@ -89,7 +81,7 @@ def _tridiagonal(A: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return A.diagonal(dim1=1, dim2=2), beside, A.tril(-1)[..., : n - 2], halves
 
 
-def _torn(A: Tensor) -> tuple[Tensor, ...]:
+def _torn(A: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Return the parts of tridiagonal matrices (b p, w, w), and what joins them to a whole again.
 
     With ``rho u u^T`` taken away for each entry `beside` that joins two, u = (..., 1, sign, ...).
@@ -119,9 +111,8 @@ def _joined(
     reflectors: Tensor,
     halves: Tensor,
     size: Tensor,
-    n: int,
     keep: int,
-) -> tuple[Tensor, ...]:
+) -> tuple[Tensor, Tensor]:
     """Return the `keep` lowest eigenpairs of matrices from those of their parts."""
     b, apart = len(size), 1
     while (parts := len(values) // b) > 1:
@@ -137,7 +128,7 @@ def _joined(
         inner = inner.gather(2, place).reshape(-1, kept, 2, half).permute(0, 2, 3, 1)
         vectors = (vectors @ inner).reshape(-1, 2 * half, kept)
         apart *= 2
-    values, vectors = values[:, :keep], vectors[:, :n, :keep]
+    values, vectors = values[:, :keep], vectors[:, : reflectors.shape[1], :keep]
     # All reflections at once: their product is I - V T^-1 V^T.
     triangle = (reflectors.mT @ reflectors).triu(1) + torch.diag_embed(halves)
     inner = torch.linalg.solve_triangular(triangle, reflectors.mT @ vectors, upper=True)
