@@ -50,8 +50,9 @@ def _on_host(A: Tensor) -> bool:
 
 def divide_and_conquer(A: Tensor, keep: int) -> tuple[Tensor, Tensor]:
     """Return the same eigenvalues and vectors by the way above, whatever the device; n >= 2."""
-    leaves, *rest = _torn(A)
-    return _joined(*torch.linalg.eigh(leaves), *rest, keep)
+    leaves, joints, reflectors, halves, size = _torn(A)
+    values, vectors = torch.linalg.eigh(leaves)
+    return _joined(values, vectors, joints, reflectors, halves, size, keep)
 
 
 def _size(A: Tensor) -> Tensor:
