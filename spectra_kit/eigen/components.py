@@ -218,10 +218,11 @@ class Components:
         owner = np.repeat(np.arange(len(pairs)), [len(p.eigenvalues) for p in pairs])
         column = np.concatenate([np.arange(len(p.eigenvalues)) for p in pairs])
         lowest = np.lexsort((column, values))[:k]  # where values are equal, constants come first
-        vectors = np.zeros((n, len(lowest)))
-        for j, source in enumerate(lowest):
-            part = owner[source]
-            vectors[parts[part], j] = pairs[part].eigenvectors[:, column[source]]
+        vectors, owner = np.zeros((n, len(lowest))), owner[lowest]
+        for part in np.unique(owner):
+            places = np.flatnonzero(owner == part)
+            own = pairs[part].eigenvectors[:, : len(places)]  # its lowest ones
+            vectors[parts[part][:, None], places] = own
         told = [p.errors for p in pairs]
         if self.promise == "approximate":  # beside such components, those chosen to be exact
             told = [
