@@ -221,7 +221,7 @@ class Components:
         vectors, owner = np.zeros((n, len(lowest))), owner[lowest]
         for part in np.unique(owner):
             places = np.flatnonzero(owner == part)
-            own = pairs[part].eigenvectors[:, : len(places)]  # its lowest ones
+            own = pairs[part].eigenvectors[:, column[lowest[places]]]
             vectors[parts[part][:, None], places] = own
         told = [p.errors for p in pairs]
         if self.promise == "approximate":  # beside such components, those chosen to be exact
