@@ -11,7 +11,7 @@ from spectra_kit._sparse.elimination import Elimination, analysed, no_memory, sy
 from spectra_kit._sparse.ldl import Inertia, SparseLDL
 from spectra_kit.errors import InvalidInputError
 
-_LONGEST = 256  # rows of a front, above which BLAS is quicker at one shift after the other
+_LONGEST = 256  # rows of a front, above which BLAS takes one shift after the other in less time
 
 
 class Pencil:
@@ -66,17 +66,19 @@ class Pencil:
         except InvalidInputError:
             return None
 
+    @property
+    def quick(self) -> bool:
+        """Whether `inertias` takes less time than a factor for each shift."""
+        return self.elimination.longest <= _LONGEST
+
     def inertias(self, shifts: Floats) -> list[Inertia | None]:
         """Return the inertia of ``L - sigma M`` at each shift; nothing where a pivot is zero.
 
-        Eight of them take about as long as a factor for itself.
+        Eight of them take little longer than one factor, where this is `quick`.
         """
-        known, n = self.elimination, len(self._diagonal)
-        if known.longest > _LONGEST:
-            factors = [self.factor(sigma) for sigma in shifts]
-            return [None if factor is None else factor.inertia for factor in factors]
         from spectra_kit._sparse._lane_kernels import LANES, shifted_pivots
 
+        known, n = self.elimination, len(self._diagonal)
         order, place, mass = known.order, np.empty(n, np.int32), np.zeros_like(self._entries)
         place[order], mass[self._place] = np.arange(n, dtype=np.int32), self._mass
         stiff, heavy = (entries[self._diagonal][order] for entries in (self._entries, mass))

@@ -207,7 +207,7 @@ def _inexactness(
     return skew, apart
 
 
-_WORK = 2**17  # points times counts: some hundredths of a second
+_WORK = 2**16  # points times counts: a tenth of a second, or twice as many in a half of it
 _FEW = 10_000  # points up to which any operator is counted on
 _GIGABYTES = 8.0  # of a factor, at most
 _TIMES = (3, 30, 300)  # as large as estimated: what solvers say of themselves, and what is tried
@@ -245,11 +245,14 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
     held against counts, evenly spread, and speak for those below them; where memory ends, no more.
     """
     n, k = laplacian.n, len(values)
-    counts = min(k, _WORK // n)
-    if n > _FEW:
-        if not is_hard(laplacian) or factor_gigabytes(n, laplacian.dimension) > _GIGABYTES:
-            return errors
-        counts = max(counts, 2)
+    many = n > _FEW
+    if many and (not is_hard(laplacian) or factor_gigabytes(n, laplacian.dimension) > _GIGABYTES):
+        return errors
+    try:
+        pencil = Pencil(laplacian.stiffness, laplacian._weights)
+    except MemoryError:
+        return errors
+    counts = max(min(k, _WORK // n * (1 + pencil.quick)), 2 * many)
     off = laplacian._rounding
     claims = values - _TIMES[0] * errors - off
     # Above a mode that is missing, each gap has one more below it; within a cluster none tells.
@@ -260,10 +263,12 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
     floors, numbers = [0.0], [0]  # below each floor, so many eigenvalues at most
     times, i, refuted = np.ones(len(some)), 0, False  # as large as estimated each may be
     try:
-        pencil = Pencil(laplacian.stiffness, laplacian._weights)
-        together: list[Inertia | None] = [None] * len(some)
-        with suppress(MemoryError):  # one by one they take less
-            together = pencil.inertias(claims[some])
+        together: dict[int, Inertia | None] = {}
+        if pencil.quick:
+            positive = some[claims[some] > 0]
+            with suppress(MemoryError):  # one by one they take less
+                inertias = pencil.inertias(claims[positive])
+                together = dict(zip(positive.tolist(), inertias, strict=True))
         for i, j in enumerate(some):
             refuted = False
             for more in _TIMES if np.isfinite(times).all() else _TIMES[:1]:
@@ -271,7 +276,7 @@ def counted_errors(laplacian: Laplacian, values: Floats, errors: Floats) -> Floa
                 if shift <= 0:
                     times[i], refuted = more if more > _TIMES[0] else 1.0, False
                     break
-                inertia, backward = together[i] if more == _TIMES[0] else None, 0.0
+                inertia, backward = together.get(j) if more == _TIMES[0] else None, 0.0
                 if inertia is None or inertia.negative > j:
                     if (factor := pencil.factor(shift)) is None:
                         continue

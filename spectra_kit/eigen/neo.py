@@ -155,7 +155,9 @@ class Neo(Rebuilt):
         whole = [
             i
             for i, laplacian in enumerate(laplacians)
-            if self.coarsest is None and not self._is_small(laplacian)
+            if self.coarsest is None
+            and laplacian.consistent_mass is None  # batches know none
+            and not self._is_small(laplacian)
         ]
         clouds = [laplacians[i].points for i in whole], [laplacians[i].mass for i in whole]
         if str(self.device) != "cpu":

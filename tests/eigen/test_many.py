@@ -306,6 +306,20 @@ def test_a_single_cloud_on_a_device_is_a_batch_of_one():
     assert "coarsen" not in found.provenance.seconds  # another order of the points gains nothing
 
 
+def test_a_batch_is_of_lumped_masses_alone():
+    consistent = sk.laplacian(creature(700, seed=3), mass="consistent")
+    neo = Neo(device="cpu:0")
+    found = eigensolve_many([bodies()[2], consistent], K, neo)
+    assert_same(found[0], alone(2))
+    assert_same(found[1], eigensolve(consistent, K, Neo()))
+
+
+def test_spacings_of_a_batch_keep_their_digits():
+    some = bodies()[:2]
+    spacing = batched.Batch.of(some, "cpu").spacing[:, 0]
+    assert spacing.tolist() == [one.eigenvalue_spacing for one in some]
+
+
 @pytest.mark.parametrize("k", [220, 258])
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 def test_as_many_modes_as_functions(monkeypatch, k):

@@ -55,7 +55,7 @@ class Batch(NamedTuple):
         whole = sparse.csr_array(arrays, shape=(b * most, b * most))
         stiffness = csr_tensor(whole, device=device)
         mass = torch.from_numpy(masses).to(device)
-        spacing = torch.tensor([laplacian.eigenvalue_spacing for laplacian in laplacians])
+        spacing = [laplacian.eigenvalue_spacing for laplacian in laplacians]
         diagonal, highest = _preconditioner(stiffness, mass)
         return cls(
             stiffness=stiffness,
@@ -64,7 +64,7 @@ class Batch(NamedTuple):
             diagonal=diagonal.unsqueeze(2),
             inverse=torch.where(diagonal > 0, 1 / diagonal, 0.0).float().unsqueeze(2),
             highest=highest,
-            spacing=spacing.to(mass).unsqueeze(1),
+            spacing=torch.tensor(spacing, dtype=mass.dtype, device=device).unsqueeze(1),
         )
 
     def product(self, Y: Tensor) -> Tensor:
