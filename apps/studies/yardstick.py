@@ -146,7 +146,7 @@ def _distances(tables: dict[str, Any]) -> Iterator[Timed]:
     """The first field from the arrays on, and others asked for at once."""
     rows = tables["Seconds to the first field"]
     ours = {row["mesh"]: row for row in rows if row["solver"] == UNAIDED}
-    for prefix, task in (("", "a first distance field"), ("many: ", "20 more of them")):
+    for prefix, task in (("", "a first distance field"), ("many: ", "20 more fields")):
         for row in rows:
             pair = ours[row["mesh"]], row
             if row["solver"] == UNAIDED or not all(one.get(f"{prefix}least") for one in pair):
