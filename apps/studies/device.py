@@ -73,12 +73,13 @@ def measure(args: argparse.Namespace) -> None:
         "The network alone, frames included": partial(run.network, args.network),
     }
     shown = []
+    machine = describe_machine(threads=thread_count(), device=device)
     for title, rows in tables.items():
         found = [] if run.is_late(title) else list(rows())
         named = dict.fromkeys(name for row in found for name in row)
         shown.append(Table(title, found, {n: _FORMS.get(n, ".2f") for n in named}))
-    machine = describe_machine(threads=thread_count(), device=device)
-    write_report(args.out, "device", [], shown, machine, left_out=run.left_out)
+        # After each, so that it is there if the machine is taken away.
+        write_report(args.out, "device", [], shown, machine, left_out=run.left_out)
     print("left out:", ", ".join(run.left_out) or "nothing")
 
 
@@ -109,6 +110,7 @@ class _Measurements:
                 torch.cuda.reset_peak_memory_stats(self.device)
                 torch.cuda.synchronize(self.device)
             start = time.perf_counter()
+            print(f"{what}, run {len(times)}", flush=True)
             try:
                 with device_memory():
                     found = call()
