@@ -139,6 +139,8 @@ class _Measurements:
 
     def many(self, points: int, count: int) -> Iterator[Record]:
         """Yield clouds a second, and where their time goes, in ms a cloud."""
+        for seed in range(_ANIMALS):  # not in threads, which would only wait for each other
+            _animal(seed)
         clouds = in_threads(_cloud, ((points, seed) for seed in range(count)))
         made = self.timed("operators", partial(laplacian_many, clouds, device=self.device))
         if made is None:
