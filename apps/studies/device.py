@@ -104,7 +104,7 @@ class _Measurements:
         """Run twice after a warm-up; return the result, seconds, and most memory of the device."""
         if self.is_late(what):
             return None
-        times = []
+        times: list[float] = []
         for _ in range(3):
             if self.cuda:
                 torch.cuda.reset_peak_memory_stats(self.device)
