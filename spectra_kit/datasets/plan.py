@@ -11,7 +11,7 @@ from spectra_kit._core.validate import check_count
 from spectra_kit._core.version import VERSION
 from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit.eigen import Automatic, Eigensolver
-from spectra_kit.eigen.solve import device_of
+from spectra_kit.eigen.components import device_of
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, largest_component, repair, sample
 from spectra_kit.operators import Laplacian, laplacian, laplacian_many

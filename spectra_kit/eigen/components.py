@@ -6,11 +6,12 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from spectra_kit._core.threads import in_threads, single_threaded
 from spectra_kit._core.types import Ints
 from spectra_kit._core.validate import quantity
 from spectra_kit._sparse.orthonormal import RankError
@@ -26,10 +27,13 @@ from spectra_kit.eigen.answers import (
 from spectra_kit.eigen.automatic import Automatic
 from spectra_kit.eigen.base import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.eigen.dense import SPREAD, Dense
+from spectra_kit.eigen.lanczos import Arpack, Lanczos
 from spectra_kit.eigen.small_parts import are_quick, small_components
 from spectra_kit.eigen.subspaces.base import restricted
 from spectra_kit.errors import InvalidInputError, InvalidSpectrumError
 from spectra_kit.operators.laplacian import Laplacian
+
+_BESIDE = 2**14  # points: larger components are worth all threads, one after the other
 
 
 class Chosen(NamedTuple):
@@ -82,6 +86,7 @@ class Components:
                 solved = self.together(due, most, solver)
                 alone -= solved
                 wanted = [most[i] if i in solved else own for i, own in enumerate(wanted)]
+            alone -= self.side_by_side(sorted(alone), wanted, solver)
             for i in sorted(alone):
                 part, own = self.piece(i), restricted(solver, parts[i])
                 try:
@@ -151,10 +156,46 @@ class Components:
         self.book("dense", time.perf_counter() - begin)
         return solved
 
+    def side_by_side(self, due: list[int], wanted: list[int], solver: Eigensolver) -> set[int]:
+        """Solve the components of few points among those due, a thread each; return which.
+
+        By what works on the host in loops that release the interpreter lock.
+        """
+        hosted = isinstance(solver, Arpack | Lanczos | Automatic) and device_of(solver) == "cpu"
+        few = [i for i in due if len(self.parts[i]) <= _BESIDE] if hosted else []
+        if len(few) < 2:
+            return set()
+
+        def one(i: int) -> tuple[Components, NotConvergedError | None]:
+            own = replace(self, pieces={}, chosen={}, found={}, stages={}, iterations=None)
+            with single_threaded():
+                try:
+                    own.alone(i, own.piece(i), wanted[i], solver)
+                except NotConvergedError as error:
+                    return own, error
+            return own, None
+
+        begin, stages = time.perf_counter(), Counter[str]()
+        solved = in_threads(one, ((i,) for i in sorted(few, key=lambda i: -len(self.parts[i]))))
+        for own, _ in solved:
+            self.pieces |= own.pieces
+            self.chosen |= own.chosen
+            self.found |= own.found
+            stages.update(own.stages)
+            if own.iterations is not None:
+                self.iterations = (self.iterations or 0) + own.iterations
+        share = (time.perf_counter() - begin) / max(sum(stages.values()), 1e-9)
+        for stage, seconds in stages.items():  # of several threads: what each takes of the wait
+            self.book(stage, min(share, 1.0) * seconds)
+        for _, error in solved:
+            if error is not None:
+                raise error
+        return set(few)
+
     def piece(self, i: int) -> Laplacian:
         """Return the operator on a component."""
         if i not in self.pieces:
-            self.pieces[i] = self.laplacian.restricted(self.parts[i])
+            self.pieces[i] = self.laplacian._component(i, self.parts[i])
         return self.pieces[i]
 
     def blocks(self) -> list[Laplacian]:
@@ -264,6 +305,11 @@ class Components:
             self.book(stage, spent)
         if pairs.iterations is not None:
             self.iterations = (self.iterations or 0) + pairs.iterations
+
+
+def device_of(solver: Eigensolver) -> str:
+    """Return where a solver works."""
+    return str(getattr(solver, "device", "cpu"))
 
 
 def promise_of(solver: Eigensolver) -> str:

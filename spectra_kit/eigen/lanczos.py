@@ -38,8 +38,8 @@ _DENSE_RATIO = 3
 # as quick for 24 modes of 250 points, 48 of 350, 96 of 550.
 _DENSELY = 150, 4.0
 # Modes from which on blocks are faster than one vector at a time, which finds them in a smaller
-# space; and modes times points: as fast for 28 to 45 modes of 500 to 1,500 points.
-_MANY, _WORTH = 40, 80_000
+# space; and modes times points: as fast for 35 modes of 1,500 points, 18 of 2,900, 9 of 6,000.
+_MANY, _WORTH = 40, 50_000
 _SHIFT = 0.1  # of the spacing of eigenvalues, below the spectrum
 _FEWEST = 2 * MOST  # points on which blocks have all the room that they can use
 _LEAST, _ROOMY = 500, 2.5  # fewer will do, and so many times as many as vectors find the modes

@@ -18,7 +18,7 @@ from spectra_kit._core.validate import check_count
 from spectra_kit.eigen.accuracy import warn_of_doubts
 from spectra_kit.eigen.automatic import Automatic
 from spectra_kit.eigen.base import Eigenpairs, Eigensolver, check_dimension_of
-from spectra_kit.eigen.components import promise_of
+from spectra_kit.eigen.components import device_of, promise_of
 from spectra_kit.eigen.run import is_whole, solve
 from spectra_kit.eigen.spectrum import Spectrum
 from spectra_kit.errors import InvalidInputError, SpectraKitError
@@ -257,11 +257,6 @@ def eigensolve_many(
 def is_on_device(solver: Eigensolver) -> bool:
     """Whether a solver works elsewhere than on the host."""
     return device_of(solver) != "cpu"
-
-
-def device_of(solver: Eigensolver) -> str:
-    """Return where a solver works."""
-    return str(getattr(solver, "device", "cpu"))
 
 
 def points_of_a_pass(solver: Eigensolver) -> int:

@@ -376,6 +376,15 @@ class Laplacian(Rebuilt):
             dimension=self.dimension,
         )
 
+    def _component(self, i: int, points: Ints) -> Laplacian:
+        """Return the operator on its i-th component, of these points; what is known stays."""
+        part = self.restricted(points)
+        if part.consistent_mass is None:
+            known = np.zeros(part.n, dtype=np.int64), self.constant_components[i : i + 1]
+            vars(part).update(zip(("component_labels", "constant_components"), known, strict=True))
+            known[0].flags.writeable = False
+        return part
+
 
 def check_dimension(value: int) -> int:
     """Return 2 or 3; refuse what is neither a surface nor a volume."""

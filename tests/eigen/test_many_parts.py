@@ -27,17 +27,21 @@ def tetrahedra(number: int, seed: int = 0) -> TriangleMesh:
     return TriangleMesh((sizes * CORNERS + apart).reshape(-1, 3), faces.reshape(-1, 3))
 
 
-def with_balls(number: int) -> TriangleMesh:
-    """Tetrahedra beside three balls, whose modes are lower."""
-    small, ball = tetrahedra(number), sphere(subdivisions=2).geometry
-    meshes = [small] + [
-        TriangleMesh(size * ball.points + [0, 30 * size, 0], ball.faces) for size in (3, 4, 5)
-    ]
+def joined(meshes: list[TriangleMesh]) -> TriangleMesh:
     starts = np.cumsum([0] + [mesh.n for mesh in meshes])
     return TriangleMesh(
         np.vstack([mesh.points for mesh in meshes]),
         np.vstack([mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]),
     )
+
+
+def with_balls(number: int) -> TriangleMesh:
+    """Tetrahedra beside three balls, whose modes are lower."""
+    small, ball = tetrahedra(number), sphere(subdivisions=2).geometry
+    others = [
+        TriangleMesh(size * ball.points + [0, 30 * size, 0], ball.faces) for size in (3, 4, 5)
+    ]
+    return joined([small, *others])
 
 
 @cache
@@ -167,3 +171,38 @@ def test_a_small_part_that_lapack_would_round_is_asked_for_its_share_alone() -> 
     found = sk.eigensolve(both, 80)
     assert found.provenance.reason.endswith("of 2 components, 1 by arpack")
     assert found.certificate.level == "verified"
+
+
+@cache
+def balls() -> sk.Laplacian:
+    """Eight of 642 points and less, of many sizes."""
+    meshes = [sphere(subdivisions=3 - i % 2, radius=1 + i / 8).geometry for i in range(8)]
+    meshes = [
+        TriangleMesh(mesh.points + [9 * i, 0, 0], mesh.faces) for i, mesh in enumerate(meshes)
+    ]
+    return sk.laplacian(joined(meshes))
+
+
+@pytest.mark.parametrize("solver", [sk.Arpack(), sk.Lanczos(), sk.Automatic()], ids=repr)
+def test_parts_side_by_side_are_what_one_thread_finds(monkeypatch, solver) -> None:
+    found = []
+    for threads in ("1", "2", "5"):
+        monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
+        found.append(sk.eigensolve(balls(), 50, solver))
+    one, *others = found
+    assert one.n_zero_modes == 8
+    assert one.certificate.level == "verified"
+    for other in others:
+        np.testing.assert_array_equal(other.eigenvalues, one.eigenvalues)
+        np.testing.assert_array_equal(other.eigenvectors, one.eigenvectors)
+
+
+def test_what_parts_beside_found_is_rescued() -> None:
+    """The larger balls, whose clusters need restarts, give up; the others are all there."""
+    with pytest.raises(sk.errors.ConvergenceError) as caught:
+        sk.eigensolve(balls(), 50, sk.Arpack(max_restarts=1))
+    partial = caught.value.partial
+    assert partial is not None
+    owners = {balls().component_labels[np.abs(u).argmax()] for u in partial.eigenvectors.T}
+    assert owners == set(range(8))
+    assert 0 < caught.value.n_converged <= partial.k
