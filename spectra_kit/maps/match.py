@@ -23,7 +23,7 @@ from spectra_kit.maps.convert import (
     induced,
     into_triangles,
 )
-from spectra_kit.maps.deform import PULL, PULL_UNLIKE, by_bending, by_modes, contact
+from spectra_kit.maps.deform import PULL, PULL_UNLIKE, Contact, by_bending, by_modes, contact
 from spectra_kit.maps.fit import Landmarks, check_landmarks
 from spectra_kit.maps.nearest import nearest
 from spectra_kit.maps.prepare import (
@@ -38,6 +38,7 @@ from spectra_kit.maps.prepare import (
 from spectra_kit.maps.result import DEFAULT, Candidate, Match, MatchOptions, warn_of
 from spectra_kit.maps.score import (
     Pairs,
+    bends_apart,
     coverage_over_chance,
     orientation_of,
     unlike_cost,
@@ -239,7 +240,8 @@ def _settled(
     """Return the best candidate; of those that score much alike, by what scores do not see.
 
     Of one body in two poses modes can hardly tell the front from the back, but the right map brings
-    the source down onto the target, to the spacing of its points. Of two species no map does, and
+    the source down onto the target, to the spacing of its points, and what bends alike together:
+    toes onto toes and noses onto noses. Of two species no map does, and
     how near one comes tells nothing: see `unlike_cost`. Returns also whether there is none.
     """
     best = candidates[0]
@@ -249,22 +251,25 @@ def _settled(
     close = distinct(rivals, _RIVAL)[:_CONTENDERS]
     if len(close) == 1:
         return best, False
-    gaps = [_gap(a, b, c, rounds) for c in close]
+    met = [_contact(a, b, c, rounds) for c in close]
     spacing = 1 / np.sqrt(min(a.spectrum.n, b.spectrum.n))  # at unit area
-    unlike = min(gaps) > _MET * spacing
+    unlike = min(one.gap for one in met) > _MET * spacing
     if unlike:
         costs = [unlike_cost(a, b, c) for c in close]
     else:
-        costs = [c.score * gap**2 for c, gap in zip(close, gaps, strict=True)]
+        costs = [
+            c.score * one.gap**2 * bends_apart(a, b, one.there, one.back)
+            for c, one in zip(close, met, strict=True)
+        ]
     return close[int(np.argmin(costs))], unlike
 
 
-def _gap(a: Prepared, b: Prepared, candidate: Candidate, rounds: int) -> float:
-    """Return the distance to the target that is left once the source is bent by a candidate."""
+def _contact(a: Prepared, b: Prepared, candidate: Candidate, rounds: int) -> Contact:
+    """Return who meets whom once the source is bent by a candidate."""
     C, mirrored = candidate.functional_map, candidate.mirrored
     rows1, rows2 = a.spectrum.eigenvectors[:, : len(C)] @ C.T, b.spectrum.eigenvectors[:, : len(C)]
     there = nearest(rows1, rows2)
-    return contact(a.surface, b.surface, there, mirrored=mirrored, rounds=rounds).gap
+    return contact(a.surface, b.surface, there, mirrored=mirrored, rounds=rounds)
 
 
 def _refined(

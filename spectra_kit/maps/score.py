@@ -159,6 +159,26 @@ def _mismatches(
     return values
 
 
+def bends_apart(source: Prepared, target: Prepared, there: Ints, back: Ints) -> float:
+    """Return how little the surfaces bend alike where they meet: 1 less a correlation, in [0, 2].
+
+    Of their finest smoothed mean curvatures, the mean of both ways: `there` is the target point
+    that each source point meets, `back` the source point of each target point.
+    """
+    both = curvatures(source, target)
+    if both is None:
+        return 1.0
+    (x, y), (m1, m2) = (one[:, 0] for one in both), (source.spectrum.mass, target.spectrum.mass)
+    return 1 - (_correlation(x, y[there], m1) + _correlation(y, x[back], m2)) / 2
+
+
+def _correlation(x: Floats, y: Floats, mass: Floats) -> float:
+    """Return that of two functions on a surface."""
+    x, y = (f - mass @ f / mass.sum() for f in (x, y))
+    scale = np.sqrt((mass @ x**2) * (mass @ y**2))
+    return float(mass @ (x * y) / scale) if scale else 0.0
+
+
 def unlike_cost(source: Prepared, target: Prepared, candidate: Candidate) -> float:
     """Return what to choose by between unlike bodies: score, tears, and what looks alike.
 

@@ -30,7 +30,12 @@ from spectra_kit.maps.calibration import score_of
 from spectra_kit.maps.candidates import SAMPLES, bent, rigid_candidates, side_of, sign_candidates
 from spectra_kit.maps.deform import PULL, _bending, _rotations, _weighted_edges, contact
 from spectra_kit.maps.nearest import nearest
-from spectra_kit.maps.score import coverage_over_chance, orientation_of, unlike_cost
+from spectra_kit.maps.score import (
+    bends_apart,
+    coverage_over_chance,
+    orientation_of,
+    unlike_cost,
+)
 from spectra_kit.maps.search import Search
 from spectra_kit.maps.surface import (
     Surface,
@@ -354,6 +359,23 @@ def test_a_foot_looks_like_another_foot_and_tips_of_tail_and_head_like_nothing()
     feet = points[:, 2] < points[:, 2].min() + 0.05
     assert twins[feet, 2].max() < points[:, 2].min() + 0.1
     assert unlike[[points[:, 0].argmin(), points[:, 0].argmax()]].min() > 1.5 * unlike[feet].max()
+
+
+def test_what_bends_alike_meets_in_a_right_map_alone() -> None:
+    one, other, truth = creature_pair(1000, 900, seed=1)
+    a, b = prepared(one, K), prepared(other, K)
+    points = a.surface.points
+    there = nearest(points, points[truth])
+    low, high = points.min(axis=0), points.max(axis=0)
+    turned = nearest((low + high) * [1, 1, 0] + points * [-1, -1, 1], points)  # about the vertical
+    every = np.arange(a.spectrum.n)
+    assert bends_apart(a, a, every, every) == pytest.approx(0, abs=1e-12)
+    right = bends_apart(a, b, there, truth)
+    assert right < 0.5
+    assert bends_apart(a, b, there[turned], turned[truth]) > right + 0.3
+    sheet = prepared(rectangle(n=400).geometry, K)
+    every = np.arange(sheet.spectrum.n)
+    assert bends_apart(sheet, sheet, every, every) == 1  # nothing to go by
 
 
 @pytest.mark.parametrize("seed", [0, 3, 4])
