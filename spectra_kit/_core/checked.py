@@ -68,9 +68,11 @@ def _checked_function(function: Callable[..., Any]) -> Callable[..., Any]:
         given = [*zip(chain(positional, repeat(rest)), args, strict=False), *options.items()]
         for i, (name, value) in enumerate(given):
             kind = kinds.get(name)
-            if kind is None or kind.accepts(value):
+            fits = kind is None or kind.accepts(value)
+            if fits and not isinstance(value, np.str_):
                 continue
-            made = _made(name, value, kinds, dict(given))
+            # A word of NumPy's is passed on as Python's: what is kept of it goes by its repr.
+            made = str(value) if fits else _made(name, value, kinds, dict(given))
             if i < len(args):
                 args = (*args[:i], made, *args[i + 1 :])
             else:
@@ -163,7 +165,7 @@ def _kind(hint: Any) -> _Kind | None:
         words = tuple(map(repr, args))
         return _Kind(
             words,
-            lambda v: any(type(v) is type(a) and v == a for a in args),
+            lambda v: any(type(v) in (type(a), np.str_) and v == a for a in args),
             article=False,
             several=_listed(words),
         )

@@ -1,10 +1,11 @@
-"""What calls on many things share: which of them go together, and which one an error is about."""
+"""What calls on many things share: which of them go together, and which one a message is about."""
 
 from __future__ import annotations
 
 from collections.abc import Container, Iterator, Sequence
 from contextlib import contextmanager
 
+from spectra_kit._core.warn import place
 from spectra_kit.errors import SpectraKitError
 
 _PADDED = 0.8  # of the largest of a group: the smallest has as many points, or more
@@ -31,9 +32,12 @@ def of_similar_size(
 
 @contextmanager
 def about(where: str) -> Iterator[None]:
-    """Let an error inside say which of several things it is about."""
+    """Let errors and warnings inside say which of several things they are about."""
+    token = place.set(where)
     try:
         yield
     except SpectraKitError as error:
         error.where = where
         raise
+    finally:
+        place.reset(token)

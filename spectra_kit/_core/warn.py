@@ -10,6 +10,8 @@ from contextvars import ContextVar
 
 from spectra_kit.errors import Advice, SpectraKitWarning
 
+#: Which of several things warnings are about that do not say it themselves: see `many.about`.
+place = ContextVar("place", default="")
 _heard: ContextVar[list[SpectraKitWarning] | None] = ContextVar("_heard", default=None)
 
 
@@ -37,7 +39,7 @@ def warn(
 ) -> None:
     """Warn at the line that called the package, however deep inside the reason was found."""
     told = category(message, advice=advice, remedies=remedies)
-    told.where = where
+    told.where = where or place.get()
     tell(told)
 
 

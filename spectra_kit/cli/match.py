@@ -12,10 +12,11 @@ import spectra_kit as sk
 from spectra_kit._core.types import Ints
 from spectra_kit._core.validate import check_indices
 from spectra_kit.cli import options, solving, tables
+from spectra_kit.cli.components import match_parts
 from spectra_kit.cli.inputs import Numbering, assemble, load, of_file
+from spectra_kit.cli.match_result import MAP, PARTS, PICTURES, doubts_of, setting
 from spectra_kit.cli.output import REPORT, check_folder, tell_folder
 from spectra_kit.cli.progress import step
-from spectra_kit.cli.words import stem
 from spectra_kit.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -24,11 +25,14 @@ if TYPE_CHECKING:
     from spectra_kit.geometry import Geometry
     from spectra_kit.maps import MapErrors
 
-_MAPS = ("point_map.npy", "functional_map.npy", REPORT)
+_MAPS = (MAP, "functional_map.npy", REPORT)
 _COVERED, _PRECISE = "covered.npy", "precise_map.npz"
+_OF_ONE_PAIR = (  # the parts are solved for as `match_components` does it
+    *("part", "largest", "cloud", "landmarks", "aligned", "initial", "truth", "precise"),
+    *("operator", "boundary", "mass", "accuracy", "solver", "rtol", "start", *options.NETWORK),
+)
 _SIDES = ("source.npz", "target.npz")
 _LINES = "hold lines of two integers, on the source and on the target"
-_PICTURES = ("correspondence.png", "functional_map.png", "errors.png")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +44,9 @@ class _Known(options.Sides, options.Reading, group="input"):
     part: bool = False
     """SOURCE is a part, such as a scan that lacks a limb, and TARGET a whole: find which points of
     the whole have a partner on the part, too (covered.npy)"""
+    components: bool = False
+    """the surfaces have several parts, wherever they stand: find which part of SOURCE each of
+    TARGET is, if any, and match these (components.csv; no functional_map.npy)"""
     landmarks: Path | None = None
     """corresponding points: a line for each with its number on the source and on the target,
     counted from 0"""
@@ -61,6 +68,7 @@ class MatchOptions(_Known, options.Operator, options.Solver, options.FolderDrawi
     examples = (
         "match cat.off lion.off -o maps",
         "match scan.ply body.off --part -o parts",
+        "match scene.ply animals.off --components -o parts",
         f"match {options.DEMO} {options.DEMO} --points 2000",
     )
     keys = "source, target, landmarks, match, written"
@@ -96,6 +104,8 @@ def match_shapes(asked: MatchOptions) -> None:
         options.refuse_given(
             asked, ["landmarks", "precise", "initial", "aligned"], "with --part; match wholes"
         )
+    if asked.components:
+        options.refuse_given(asked, _OF_ONE_PAIR, "with --components; match two parts alone")
     if asked.aligned:
         options.refuse_given(asked, ["initial"], "with --aligned; give one of them")
     if asked.k < LOWEST_K:
@@ -105,11 +115,11 @@ def match_shapes(asked: MatchOptions) -> None:
     solving.check_solvers(asked, asked.solver)
     # Where the maps number other points than those of files that exist, these are written too.
     sides = _SIDES if sampled or options.DEMO in (asked.source, asked.target) else ()
-    drawn = _PICTURES if asked.truth or is_demo else _PICTURES[:2]
-    pictures = () if asked.no_pictures else drawn
+    drawn = PICTURES if asked.truth or is_demo else PICTURES[:2]
+    pictures = () if asked.no_pictures else drawn[:1] if asked.components else drawn
     more = (_COVERED,) * asked.part + (_PRECISE,) * asked.precise
-    files = (*_MAPS, *more, *sides)
-    known = (*_MAPS, _COVERED, _PRECISE, *_SIDES, *_PICTURES)
+    files = (MAP, PARTS, REPORT, *sides) if asked.components else (*_MAPS, *more, *sides)
+    known = (*_MAPS, PARTS, _COVERED, _PRECISE, *_SIDES, *PICTURES)
     check_folder(asked.output, (*files, *pictures), known, asked.inputs)
 
     truth = landmarks = initial = None
@@ -123,6 +133,9 @@ def match_shapes(asked: MatchOptions) -> None:
         one, first = load(asked.source, asked, pose=1)
         other, second = load(asked.target, asked, pose=2)
         there = first, second
+    if asked.components:
+        match_parts(asked, (one, other), there, files, sides, pictures)
+        return
     _check_triangles(asked, one, other)
     if asked.truth:
         truth = _read_map(asked.truth, "--truth", *there)
@@ -175,7 +188,7 @@ def match_shapes(asked: MatchOptions) -> None:
         tables.pairs({name.replace("_", " "): _told(value) for name, value in quality.items()}),
         files=files,
         pictures=pictures,
-        replacing=_PICTURES,
+        replacing=PICTURES,
         write=write,
         draw=lambda folder: _draw(asked, folder, source, target, found, errors, label),
     )
@@ -333,27 +346,6 @@ def _read_map(path: Path, option: str, source: Numbering, target: Numbering) -> 
     return found
 
 
-def doubts_of(found: "sk.Match") -> str:
-    """Say what speaks against a match; nothing if nothing does."""
-    other = "does not mirror" if found.mirrored else "mirrors"
-    told = {
-        "margin": "another map scores as well",
-        "mirror_margin": f"one that {other} scores better",
-        "alike": "the surfaces are so round that others look as good",
-        "orientation": "its orientation is not that of a whole map",
-        "consistent": "it is in doubt which side of a cloud is out",
-        "coverage": "it covers hardly more of the source than chance would",
-        "score": "the surfaces look no more alike than unrelated ones",
-        "discontinuity": "it takes neighbours apart",
-        "genera": "the surfaces have other numbers of handles",
-        "rims": "at least one is cut off, and not where the other is",
-        "landmark_distances": "it does not lead to all landmarks",
-        "initial": "it follows from the map that was given, and no other was tried",
-        "unconnected": "no convincing pairs of the collection connect the two",
-    }
-    return ", ".join(told[name] for name in found.doubts)
-
-
 def errors_of(source: Side, point_map: Ints, truth: Ints) -> tuple["MapErrors", str]:
     """Measure a point map (n2,) against the true one, which is negative where it is not known.
 
@@ -416,25 +408,21 @@ def _draw(
     errors: "MapErrors | None",
     label: str,
 ) -> None:
-    names = (stem(source.name), stem(target.name))
-    title = " to ".join(names)
-    page = sk.show.Page(title, dpi=asked.dpi)
-    size = f"{source.geometry.n:,} and {target.geometry.n:,} points"
+    there = setting(asked, source.geometry, target.geometry)
+    page = replace(there["page"], subtitle="")
     sk.show.plot_correspondence(
         source.geometry,
         target.geometry,
         found.point_map,
-        path=folder / _PICTURES[0],
+        path=folder / PICTURES[0],
         errors=errors,
         error_label=label,
         covered=found.covered,
-        view=asked.view,
-        names=names if names[0] != names[1] else ("source", "target"),
-        page=replace(page, subtitle=size),
+        **there,
     )
-    sk.show.plot_functional_map(found.functional_map, path=folder / _PICTURES[1], page=page)
+    sk.show.plot_functional_map(found.functional_map, path=folder / PICTURES[1], page=page)
     if errors:
-        curves, path = {title: errors.direct}, folder / _PICTURES[2]
+        curves, path = {page.title: errors.direct}, folder / PICTURES[2]
         sk.show.plot_error_curves(curves, path=path, error_label=label, page=page)
 
 

@@ -25,6 +25,7 @@ _OPTIONS = {
     "geometry.repair(mesh)": "--repair",
     "Plan(repair=True)": "--repair",
     "geometry.largest_component(mesh)": "--largest",
+    "maps.match_components": "match --components",
     "cloud.without_duplicates()": "--repair",
     "geometry.without_nan()": "--repair",
     "exact_distances": "--method auto, without --spectrum, --solver and --compare",

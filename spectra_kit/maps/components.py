@@ -8,13 +8,14 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from spectra_kit._core.checked import checked
+from spectra_kit._core.many import about
 from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Component, TriangleMesh, components
 from spectra_kit.maps.match import LastSteps, matched_from
-from spectra_kit.maps.prepare import LOWEST_K, prepared, truncated
+from spectra_kit.maps.prepare import LOWEST_K, Prepared, prepared, truncated
 from spectra_kit.maps.result import DEFAULT, Match, MatchOptions
 from spectra_kit.maps.search import searched
 
@@ -81,7 +82,8 @@ def match_components(
     Warns
     -----
     DoubtfulMatchWarning
-        For each two parts that are left for each other and are not a convincing match.
+        For each two parts that are left for each other and are not a convincing match. It begins
+        with their numbers, which are the attribute ``where``, as of errors.
 
     Examples
     --------
@@ -98,10 +100,7 @@ def match_components(
     """
     check_count("k", k, low=LOWEST_K)
     parts1, parts2 = _parts("source", source), _parts("target", target)
-    sides = [
-        {i: prepared(part.mesh) for i, part in enumerate(parts) if _is_large(part.mesh)}
-        for parts in (parts1, parts2)
-    ]
+    sides = [_prepared("source", parts1), _prepared("target", parts2)]
     pairs = [(i, j) for i in sides[0] for j in sides[1]]
     ready, found = {}, {}
     for i, j in pairs:
@@ -114,9 +113,10 @@ def match_components(
     chosen = [
         pairs[row * len(sides[1]) + column] for row, column in zip(rows, columns, strict=True)
     ]
-    matches = {
-        pair: matched_from(*ready[pair], found[pair], LastSteps(k), options) for pair in chosen
-    }
+    matches = {}
+    for i, j in chosen:
+        with about(f"part {i} of the source and part {j} of the target"):
+            matches[i, j] = matched_from(*ready[i, j], found[i, j], LastSteps(k), options)
     point_map, partner = np.full(target.n, -1), np.full(len(parts2), -1)
     confidence = np.zeros(len(parts2))
     for (i, j), match in matches.items():
@@ -139,6 +139,16 @@ def _parts(name: str, mesh: TriangleMesh) -> list[Component]:
         largest = max((part.mesh.n for part in parts), default=0)
         raise InvalidInputError(name, f"have a part of {_LEAST} points or more", largest)
     return parts
+
+
+def _prepared(name: str, parts: list[Component]) -> dict[int, Prepared]:
+    """Return the parts that can be matched, by their numbers."""
+    ready = {}
+    for i, part in enumerate(parts):
+        if _is_large(part.mesh):
+            with about(f"part {i} of the {name}"):
+                ready[i] = prepared(part.mesh)
+    return ready
 
 
 def _is_large(mesh: TriangleMesh) -> bool:

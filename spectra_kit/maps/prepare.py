@@ -214,8 +214,8 @@ def prepared(
             "spectrum",
             "be of one connected surface, with its constant mode",
             f"{spectrum.n_zero_modes} zero modes",
-            advice="match the largest part alone, by {}, or each with its own (match_components)",
-            remedies=("geometry.largest_component(mesh)",),
+            advice="match the largest part alone, by {}, or each with its own, by {}",
+            remedies=("geometry.largest_component(mesh)", "maps.match_components"),
         )
     scale = spectrum.area ** (-1 / spectrum.dimension)
     unit = spectrum.rescale(scale)

@@ -164,7 +164,7 @@ def topology_of(surface: Surface) -> Topology:
     that of the one round hole that is as wide as all of them together, by the vector areas of the
     loops: raggedness does not count. Where the surface around a hole faces as the hole does, it is
     a gap in a wall and not the end of what was cut off: it counts the less by the cosine, not at
-    all in a plane.
+    all in a plane. No hole counts for more than its width: the border of a flat disc is its rim.
     """
     if not surface.is_mesh:
         return Topology(None, 0.0)
@@ -183,7 +183,8 @@ def topology_of(surface: Surface) -> Topology:
     normals = unit_rows(np.cross(points[j] - points[i], points[k] - points[i]))
     around = sums(hole, normals * lengths[:, None], len(holes))
     around /= np.maximum(np.bincount(hole, lengths, len(holes)), 1e-300)[:, None]
-    wide = np.linalg.norm(areas, axis=1) - np.einsum("hr,hr->h", areas, around)
+    within = np.maximum(np.einsum("hr,hr->h", areas, around), 0.0)  # of a gap; a border faces away
+    wide = np.linalg.norm(areas, axis=1) - within
     rim = float(np.sqrt(4 * np.pi * np.maximum(wide, 0.0).sum()))  # in a plane it is rounding
     met = np.bincount(sides[border].ravel(), minlength=n)
     if uses.max() > 2 or not np.isin(met, (0, 2)).all():

@@ -103,9 +103,8 @@ def laplacian_many(
         for some in _built(clouds, device, partial(in_threads, one)):
             built += some
     built.sort(key=itemgetter(0))
-    for i, _, heard in built:
+    for _, _, heard in built:
         for told in heard:
-            told.where = _name(i)
             tell(told)
     return [made for _, made, _ in built]
 

@@ -1,5 +1,6 @@
 """The command that matches two shapes."""
 
+import csv
 import json
 import os
 from types import SimpleNamespace
@@ -12,7 +13,7 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from spectra_kit.cli import main
-from spectra_kit.cli.match import doubts_of
+from spectra_kit.cli.match_result import doubts_of
 from spectra_kit.geometry import (
     TriangleMesh,
     creature_pair,
@@ -21,9 +22,12 @@ from spectra_kit.geometry import (
     permuted,
     read,
     sphere,
+    torus,
     write,
 )
 
+DRAWN = ("correspondence.png",)
+KEYS = ("target", "points", "first", "source", "source_points", "source_first")
 FILES = {"point_map.npy", "functional_map.npy", "report.json"}
 
 
@@ -113,7 +117,8 @@ def test_a_speck_and_seams_leave_no_shape_out_and_maps_number_the_files(files, t
     flat = TriangleMesh(corners, np.arange(len(corners)).reshape(-1, 3))
     write(flat, tmp_path / "flat.ply")
     pair, out = (tmp_path / "flat.ply", tmp_path / "scan.off"), tmp_path / "out"
-    assert "--largest" in refused(capsys, files / "animal.off", pair[1], "-k", 40, "-o", out)
+    told = refused(capsys, files / "animal.off", pair[1], "-k", 40, "-o", out)
+    assert "by --largest, or each with its own, by match --components" in told
     at = np.full(animal.n, -1)  # the first corner at each vertex
     at[animal.faces.ravel()[::-1]] = np.arange(len(corners))[::-1]
     truth = np.concatenate([np.full(12, -1), at])
@@ -196,6 +201,73 @@ def test_the_demo_draws_its_pictures(tmp_path, capsys):
     assert set(os.listdir(folder)) == FILES | {*pictures} | {"source.npz", "target.npz"}
     for name in os.listdir(folder):
         assert f"written: {folder / name}" in out
+
+
+def beside(*meshes):
+    """One surface of these parts, each three further along x."""
+    first = np.cumsum([0, *(mesh.n for mesh in meshes)])
+    points = [mesh.points + [3.0 * i, 0, 0] for i, mesh in enumerate(meshes)]
+    faces = [mesh.faces + n for mesh, n in zip(meshes, first, strict=False)]
+    return TriangleMesh(np.vstack(points), np.vstack(faces))
+
+
+def test_parts_are_matched_each_with_its_own_and_values_carried(tmp_path, capsys):
+    """Two animals and a ring; copies of both, a speck between them, and a seam at one vertex."""
+    one, other = creature(500, pose=1, seed=1), creature(600, pose=0, seed=4)
+    ring = torus(n=500, major=1.0, minor=0.4).geometry
+    (copy, truth), (twin, also) = permuted(one, seed=2), permuted(other, seed=3)
+    source, speck = beside(one, ring, other), sphere(subdivisions=0).geometry
+    target = beside(twin, speck, copy)
+    last, faces = target.faces[-1, 0], target.faces.copy()
+    faces[-1, 0] = target.n  # of the last face alone
+    target = TriangleMesh(np.vstack([target.points, target.points[last]]), faces)
+    pair, out = (tmp_path / "a.off", tmp_path / "b.off"), tmp_path / "out"
+    write(source, pair[0])
+    write(target, pair[1])
+    options = ("--components", "--repair", "--sides", "kept", "-k", 60, "--dpi", 30)
+    text, err = printed(capsys, "match", *pair, *options, "-o", out)
+    assert err == "repaired: nothing to do\nrepaired: 1 merged point\n"
+    assert f"the parts: that of {pair[0]} that each of {pair[1]} is" in text
+    assert set(os.listdir(out)) == {"point_map.npy", "components.csv", "report.json", *DRAWN}
+    first = one.n + ring.n
+    known = np.concatenate([first + also, np.full(speck.n, -1), truth])
+    known = np.append(known, known[last])
+    np.testing.assert_array_equal(np.load(out / "point_map.npy"), known)
+    found = json.loads((out / "report.json").read_text())["match"]
+    assert (found["parts_with_a_partner"], found["covered_points"]) == (2, 1100)
+    expected = [
+        (0, 600, 0, 2, 600, first),
+        (1, 12, 600, None, None, None),
+        (2, 500, 612, 0, 500, 0),
+    ]
+    assert [tuple(part[key] for key in KEYS) for part in found["parts"]] == expected
+    assert [part["confidence"] > 0.5 for part in found["parts"]] == [True, False, True]
+    with (out / "components.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row, part in zip(rows, found["parts"], strict=True):
+        assert row == {key: "" if it is None else str(it) for key, it in part.items()}
+    np.save(tmp_path / "places.npy", source.points)
+    values = (*pair, tmp_path / "places.npy", "--maps", out, "-o", tmp_path / "there.npy")
+    assert record(capsys, "carry", *values)["undefined"] == speck.n
+    carried = np.where(known[:, None] < 0, np.nan, source.points[known])
+    np.testing.assert_array_equal(np.load(tmp_path / "there.npy"), carried)
+    told = refused(capsys, *pair, "--largest", "-k", 60, "-o", out)
+    assert "got components.csv" in told
+
+
+@pytest.mark.filterwarnings("default::spectra_kit.errors.DoubtfulMatchWarning")
+def test_a_part_that_nothing_convinces_of_says_why(files, tmp_path, capsys):
+    write(torus(n=500, major=1.0, minor=0.4).geometry, tmp_path / "ring.off")
+    pair = (files / "animal.off", tmp_path / "ring.off", "--components", "-k", 60)
+    text, err = printed(
+        capsys, "match", *pair, "--no-pictures", "--json", "-o", tmp_path / "out", "-q"
+    )
+    assert err.startswith("warning: part 0 of the source and part 0 of the target: no convincing")
+    (part,) = json.loads(text)["match"]["parts"]
+    assert part["source"] is None
+    assert part["confidence"] < 0.5
+    assert "have other numbers of handles" in part["doubts"]
+    assert (np.load(tmp_path / "out" / "point_map.npy") == -1).all()
 
 
 @pytest.mark.parametrize(
@@ -288,8 +360,14 @@ def test_bad_input_is_refused_before_the_work(files, tmp_path, capsys, monkeypat
         (("--part", "--landmarks", landmarks), "--landmarks has no effect with --part; match"),
         (("--part", "--precise"), "--precise has no effect with --part; match wholes, or leave"),
         (("--part", "--cloud", 700), "`--part` must match a mesh to a mesh, got a point cloud"),
+        (("--components", "--part"), "--part has no effect with --components; match two parts"),
+        (("--components", "--largest"), "--largest has no effect with --components; match two"),
+        (("--components", "--truth", truth), "--truth has no effect with --components; match"),
+        (("--components", "--solver", "dense"), "--solver has no effect with --components; match"),
         (("--precise", "--cloud", 700), "`--precise` must have a mesh as SOURCE"),
         (("-k", 20), "`-k` must be at least 30, got 20; solve for more (150 match best)"),
     ):
         assert message in refused(capsys, *pair, *out, *options)
+    clouds = (files / "cloud.ply", files / "animal.off", "--components", *out)
+    assert "`--components` must match a mesh to a mesh, got a" in refused(capsys, *clouds)
     assert not (tmp_path / "out").exists()

@@ -18,6 +18,7 @@ from spectra_kit.errors import DoubtfulMatchWarning
 from spectra_kit.geometry import (
     Geometry,
     creature_pair,
+    disk,
     largest_component,
     mirrored,
     permuted,
@@ -81,9 +82,19 @@ def test_rims_of_caps_are_known(cosine) -> None:
     """Beyond a circle of latitude of a sphere is the less, the more the sphere faces as it does."""
     ball = sphere(subdivisions=5).geometry
     cap = part_of(ball, ball.points[:, 2] <= cosine)
-    wide = np.pi * (1 - cosine**2) * (1 - cosine)  # the circle, less what looks through it
+    wide = np.pi * (1 - cosine**2) * (1 - max(cosine, 0))  # the circle, less what looks through it
     area = 2 * np.pi * (1 + cosine)
     assert rim_of(cap) == pytest.approx(np.sqrt(4 * np.pi * wide / area), rel=0.05)
+
+
+@pytest.mark.parametrize("width", [1.0, 3.0])
+def test_the_rim_of_a_flat_sheet_is_the_border_of_a_disc_as_large(width) -> None:
+    """Whatever its form, and turned over; that of a disc is its border itself."""
+    sheet = rectangle(width=width, height=1.0, n=900).geometry
+    for faces in (sheet.faces, sheet.faces[:, ::-1]):
+        flat = TriangleMesh(sheet.points, faces)
+        assert rim_of(flat) == pytest.approx(np.sqrt(4 * np.pi), rel=1e-9)
+    assert rim_of(disk().geometry) == pytest.approx(2 * np.pi / np.sqrt(np.pi), rel=1e-9)
 
 
 def test_rims_of_a_tube_are_those_of_its_two_ends_and_gaps_in_it_are_none() -> None:

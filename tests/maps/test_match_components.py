@@ -42,8 +42,11 @@ def test_what_has_no_partner_gets_none() -> None:
     scene = beside(SPECK, animal, RING)
     scene = TriangleMesh(np.vstack([scene.points, [[9.0, 9, 9]]]), scene.faces)
     source = beside(creature(500, pose=1), SPECK, creature(600, pose=2))
-    with pytest.warns(DoubtfulMatchWarning):
+    with pytest.warns(DoubtfulMatchWarning) as told:
         found = match_components(source, scene, k=60, mirrored=False, options=QUICK)
+    where = f"part {2 - found.partner[1]} of the source and part 2 of the target"
+    assert [warning.message.where for warning in told] == [where]
+    assert str(told[0].message).startswith(f"{where}: no convincing map")
     assert found.partner[0] == found.partner[2] == -1
     assert found.partner[1] in (0, 2)
     assert found.confidence[0] == 0
@@ -52,6 +55,15 @@ def test_what_has_no_partner_gets_none() -> None:
     partner = components(source)[found.partner[1]].vertex_index
     assert np.isin(found.point_map[of_animal], partner).all()
     assert repr(found) == "ComponentMatch(1 parts with a partner, 2 without)"
+
+
+def test_warnings_of_a_part_say_which_one_it_is() -> None:
+    """One face of the animal behind a speck is wound against the others."""
+    animal = creature(500)
+    turned = TriangleMesh(animal.points, np.vstack([animal.faces[:1, ::-1], animal.faces[1:]]))
+    with pytest.warns(DoubtfulMatchWarning, match="^part 1 of the target: ") as told:
+        match_components(animal, beside(SPECK, turned), k=60, mirrored=False, options=QUICK)
+    assert len(told) == 1
 
 
 def test_a_part_without_area_has_no_partner() -> None:
@@ -66,7 +78,7 @@ def test_a_part_without_area_has_no_partner() -> None:
 
 
 def test_whoever_matches_several_parts_as_one_is_told() -> None:
-    with pytest.raises(InvalidInputError, match=r"each with its own \(match_components\)"):
+    with pytest.raises(InvalidInputError, match=r"each with its own, by maps\.match_components"):
         match(RING, beside(RING, SPECK))
 
 

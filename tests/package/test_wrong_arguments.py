@@ -744,3 +744,16 @@ def test_what_to_do_instead_is_told(call, message):
     with pytest.raises((InvalidInputError, TypeError)) as error:
         call(instances())
     assert str(error.value).startswith(message)
+
+
+def test_words_of_numpy_are_words():
+    """They are passed on as Python's, on which keys of stores depend; others are refused."""
+    mesh, word = instances()["TriangleMesh"], np.array(["consistent", "spam"])
+    found, same = (sk.laplacian(mesh, mass=mass) for mass in (word[0], "consistent"))
+    assert found.operator == same.operator != sk.laplacian(mesh).operator
+    assert repr(datasets.Plan(mass=word[0])) == repr(datasets.Plan(mass="consistent"))
+    assert repr(sk.Neo(dtype=np.str_("float32"))) == repr(sk.Neo(dtype="float32"))
+    assert sk.read("mesh.obj", kind=np.str_("mesh")).n == mesh.n
+    for wrong in (word[1], np.array(word[:1]), 1, True):
+        with pytest.raises(InvalidInputError, match="`mass` must be 'lumped' or 'consistent'"):
+            sk.laplacian(mesh, mass=wrong)
