@@ -121,7 +121,7 @@ DAMAGED = [
     ("vtk", lambda data: data[: data.index(b"POLYGONS")], "no cells; it may .* use kind"),
     ("vtk", second_cell_ends_before,
      "cells that do not follow each other"),
-    ("text.vtk", half, "no cells; it may be cut short"),
+    ("text.vtk", half, "no cells; it may be cut short|VTK cannot read it"),
     ("text.vtk", swapped(b"POLYDATA", b"FIELD"), "VTK cannot read it|no surface"),
     ("vtp", half, "VTK cannot read it"),
     ("vtp", swapped(b'NumberOfPoints="42"', b'NumberOfPoints="99999999999"'), "of a kind in"),
