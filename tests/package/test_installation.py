@@ -73,3 +73,10 @@ def test_the_commands_of_the_readme_one_after_the_other(tmp_path: Path) -> None:
     assert run(python, "-m", "pip", "uninstall", "-y", "spectra_kit").returncode == 0
     # Nothing is left of either; a bare folder would shadow the next installation.
     assert not [path.name for path in site.iterdir() if "spectra" in path.name]
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/quickstart.md", "CONTRIBUTING.md"])
+def test_the_first_installation_brings_no_cuda(page: str) -> None:
+    """The same index on all pages, each of which may be the first that is followed."""
+    first = (ROOT / page).read_text().split("-m venv .venv")[1].split("```")[0]
+    assert "--extra-index-url https://download.pytorch.org/whl/cpu" in first

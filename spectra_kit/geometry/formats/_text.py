@@ -120,7 +120,8 @@ def _parsed(text: bytes, dtype: type[np.generic]) -> NDArray[Any] | None:
         return np.empty(0, dtype)
     try:
         found = np.fromstring(text, dtype=dtype, sep=" ")
-    except (ValueError, DeprecationWarning):
+        dtype(text.rsplit(maxsplit=1)[-1])  # of which NumPy before 2.3 may take the beginning
+    except (ValueError, OverflowError, DeprecationWarning):
         return None
     if dtype is np.int64 and (found.max() >= 2**62 or found.min() <= -(2**62)):
         return None  # larger ones are cut off
