@@ -32,12 +32,12 @@ def of_similar_size(
 
 @contextmanager
 def about(where: str) -> Iterator[None]:
-    """Let errors and warnings inside say which of several things they are about."""
+    """Let errors and warnings inside say which of several things they are about; the innermost."""
     token = place.set(where)
     try:
         yield
     except SpectraKitError as error:
-        error.where = where
+        error.where = error.where or where
         raise
     finally:
         place.reset(token)

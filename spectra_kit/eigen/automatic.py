@@ -63,6 +63,7 @@ class Automatic:
         Exact to rounding without it; to 1e-12, where a factor does not fit.
     memory : float, default 8.0
         GiB that an exact solution of one component may take: a factor, and the vectors of Lanczos.
+        Of those below 16,385 points as many are solved at once as there are threads.
     device : str, default "cpu"
         "cpu" or "cuda", for what runs there; never chosen for you.
     seed : int, default 0

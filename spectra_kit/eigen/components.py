@@ -6,6 +6,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextvars import copy_context
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -27,7 +28,7 @@ from spectra_kit.eigen.answers import (
 from spectra_kit.eigen.automatic import Automatic
 from spectra_kit.eigen.base import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.eigen.dense import SPREAD, Dense
-from spectra_kit.eigen.lanczos import Arpack, Lanczos
+from spectra_kit.eigen.lanczos import Lanczos
 from spectra_kit.eigen.small_parts import are_quick, small_components
 from spectra_kit.eigen.subspaces.base import restricted
 from spectra_kit.errors import InvalidInputError, InvalidSpectrumError
@@ -159,24 +160,29 @@ class Components:
     def side_by_side(self, due: list[int], wanted: list[int], solver: Eigensolver) -> set[int]:
         """Solve the components of few points among those due, a thread each; return which.
 
-        By what works on the host in loops that release the interpreter lock.
+        By what works on the host in loops that release the interpreter lock; behind SciPy's own
+        lock, which ARPACK waits for, there is nothing to gain, and what users made stays with the
+        caller. What one component fails of does not cost what others found.
         """
-        hosted = isinstance(solver, Arpack | Lanczos | Automatic) and device_of(solver) == "cpu"
+        hosted = type(solver) in (Lanczos, Automatic) and device_of(solver) == "cpu"
         few = [i for i in due if len(self.parts[i]) <= _BESIDE] if hosted else []
         if len(few) < 2:
             return set()
 
-        def one(i: int) -> tuple[Components, NotConvergedError | None]:
+        def one(i: int) -> tuple[Components, NotConvergedError | MemoryError | None]:
             own = replace(self, pieces={}, chosen={}, found={}, stages={}, iterations=None)
             with single_threaded():
                 try:
                     own.alone(i, own.piece(i), wanted[i], solver)
-                except NotConvergedError as error:
+                except (NotConvergedError, MemoryError) as error:
                     return own, error
             return own, None
 
         begin, stages = time.perf_counter(), Counter[str]()
-        solved = in_threads(one, ((i,) for i in sorted(few, key=lambda i: -len(self.parts[i]))))
+        largest_first = sorted(few, key=lambda i: -len(self.parts[i]))
+        solved = in_threads(
+            lambda i, here: here.run(one, i), ((i, copy_context()) for i in largest_first)
+        )
         for own, _ in solved:
             self.pieces |= own.pieces
             self.chosen |= own.chosen

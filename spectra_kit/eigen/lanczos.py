@@ -237,8 +237,9 @@ class Lanczos(_ShiftInvert):
     def memory(n: int, k: int, dimension: int = 2) -> float:
         """Estimate the memory, in GiB, that k modes on n points of one component take; or `Arpack`.
 
-        Factor, vectors and modes together, the operator not. For components one after the other it
-        is the largest of theirs, and 8 bytes for each number of the modes of the others. Factors
+        Factor, vectors and modes together, the operator not. Of several components it is the
+        largest of theirs, of small ones the sum over as many as there are threads, and 8 bytes for
+        each number of the modes of the others. Factors
         in a volume, whose `dimension` is 3, are much larger.
         """
         if _DENSE_RATIO * k >= n:

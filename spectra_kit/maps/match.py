@@ -96,7 +96,7 @@ def match(
         Modes to end with; fewer where a spectrum has fewer. Of the longer one the modes beyond
         the shorter are left out, as descriptors depend on all modes.
     elastic : bool, default True
-        Whether to bend the source onto the target in the end, where both geometries are given.
+        Whether to bend each surface onto the other in the end, where both geometries are given.
     precise : bool, default False
         Whether to find where on the triangles of the source each target point lies as well: needs
         both geometries.
@@ -241,8 +241,8 @@ def _settled(
 
     Of one body in two poses modes can hardly tell the front from the back, but the right map brings
     the source down onto the target, to the spacing of its points, and what bends alike together:
-    toes onto toes and noses onto noses. Of two species no map does, and
-    how near one comes tells nothing: see `unlike_cost`. Returns also whether there is none.
+    toes onto toes and noses onto noses. Of two species no map does, and how near one comes tells
+    nothing: see `unlike_cost`. Returns also whether there is none.
     """
     best = candidates[0]
     if a.geometry is None or b.geometry is None:

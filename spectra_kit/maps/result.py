@@ -383,9 +383,9 @@ def warn_of(found: Match) -> None:
     warn(
         told + against,
         DoubtfulMatchWarning,
-        advice="the surfaces may not correspond; look at the map, give {}, or try another"
-        " {} (150 match best)",
-        remedies=("landmarks", "k"),
+        advice="the surfaces may not correspond; look at the map, try another {} (150 match best),"
+        " or match these two alone with {}",
+        remedies=("k", "landmarks"),
     )
 
 

@@ -160,7 +160,7 @@ def _mismatches(
 
 
 def bends_apart(source: Prepared, target: Prepared, there: Ints, back: Ints) -> float:
-    """Return how little the surfaces bend alike where they meet: 1 less a correlation, in [0, 2].
+    """Return how little the surfaces bend alike where they meet: 1 less a correlation, 0 to 2.
 
     Of their finest smoothed mean curvatures, the mean of both ways: `there` is the target point
     that each source point meets, `back` the source point of each target point.
@@ -169,7 +169,8 @@ def bends_apart(source: Prepared, target: Prepared, there: Ints, back: Ints) -> 
     if both is None:
         return 1.0
     (x, y), (m1, m2) = (one[:, 0] for one in both), (source.spectrum.mass, target.spectrum.mass)
-    return 1 - (_correlation(x, y[there], m1) + _correlation(y, x[back], m2)) / 2
+    alike = (_correlation(x, y[there], m1) + _correlation(y, x[back], m2)) / 2
+    return max(1 - alike, 0.0)
 
 
 def _correlation(x: Floats, y: Floats, mass: Floats) -> float:

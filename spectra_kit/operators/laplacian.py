@@ -366,13 +366,15 @@ class Laplacian(Rebuilt):
             for buffer in (part.stiffness.data, part.stiffness.indices, part.stiffness.indptr):
                 buffer.flags.writeable = False
             return part
+        block = None if M is None else _block(M, indices)
+        lumped = block is None or block.nnz == len(indices)  # of points that M joins to none
         return Laplacian(
             _block(self.stiffness, indices),
-            self.mass[indices],
+            self.mass[indices] if block is None or not lumped else block.diagonal(),
             self.points[indices],
             operator=self.operator,
             seconds=self.seconds,
-            consistent_mass=None if M is None else _block(M, indices),
+            consistent_mass=None if lumped else block,
             dimension=self.dimension,
         )
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
 import pytest
 from conftest import whole_spectrum
-from scipy import sparse
+from scipy import linalg, sparse
 
 import spectra_kit as sk
 from spectra_kit.eigen import small_parts
@@ -183,7 +184,10 @@ def balls() -> sk.Laplacian:
     return sk.laplacian(joined(meshes))
 
 
-@pytest.mark.parametrize("solver", [sk.Arpack(), sk.Lanczos(), sk.Automatic()], ids=repr)
+BESIDE = [sk.Lanczos(), sk.Automatic(), sk.Automatic(accuracy=1e-3)]
+
+
+@pytest.mark.parametrize("solver", BESIDE, ids=repr)
 def test_parts_side_by_side_are_what_one_thread_finds(monkeypatch, solver) -> None:
     found = []
     for threads in ("1", "2", "5"):
@@ -197,12 +201,51 @@ def test_parts_side_by_side_are_what_one_thread_finds(monkeypatch, solver) -> No
         np.testing.assert_array_equal(other.eigenvectors, one.eigenvectors)
 
 
+def owners(laplacian: sk.Laplacian, spectrum: sk.Spectrum) -> set[int]:
+    return {int(laplacian.component_labels[np.abs(u).argmax()]) for u in spectrum.eigenvectors.T}
+
+
 def test_what_parts_beside_found_is_rescued() -> None:
-    """The larger balls, whose clusters need restarts, give up; the others are all there."""
+    meshes = [sk.geometry.creature(2000, seed=seed) for seed in range(2)]
+    laplacian = sk.laplacian(joined(meshes))
     with pytest.raises(sk.errors.ConvergenceError) as caught:
-        sk.eigensolve(balls(), 50, sk.Arpack(max_restarts=1))
-    partial = caught.value.partial
-    assert partial is not None
-    owners = {balls().component_labels[np.abs(u).argmax()] for u in partial.eigenvectors.T}
-    assert owners == set(range(8))
-    assert 0 < caught.value.n_converged <= partial.k
+        sk.eigensolve(laplacian, 800, sk.Lanczos(max_shifts=1))
+    assert owners(laplacian, caught.value.partial) == {0, 1}
+
+
+def test_want_of_memory_in_one_part_leaves_the_others(monkeypatch) -> None:
+    solve = sk.Lanczos.eigenpairs
+
+    def none_left(self, laplacian, k):
+        if laplacian.area > 4 * np.pi * 1.8**2:  # the largest
+            raise MemoryError
+        return solve(self, laplacian, k)
+
+    monkeypatch.setattr(sk.Lanczos, "eigenpairs", none_left)
+    with pytest.raises(sk.errors.OutOfMemoryError) as caught:
+        sk.eigensolve(balls(), 50, sk.Lanczos())
+    assert owners(balls(), caught.value.partial) == set(range(7))
+
+
+def test_solvers_of_users_stay_in_the_thread_of_the_caller() -> None:
+    threads = set()
+
+    class Own(sk.Lanczos):
+        def eigenpairs(self, laplacian, k):
+            threads.add(threading.get_ident())
+            return super().eigenpairs(laplacian, k)
+
+    sk.eigensolve(balls(), 50, Own())
+    assert threads == {threading.get_ident()}
+
+
+def test_a_point_that_a_mass_joins_to_none() -> None:
+    ball = sk.laplacian(sphere(subdivisions=2).geometry, mass="consistent")
+    matrices = [
+        sparse.csr_array(sparse.block_diag([matrix, [[value]]]))
+        for matrix, value in ((ball.stiffness, 0.7), (ball.consistent_mass, 0.3))
+    ]
+    found = sk.eigensolve(matrices[0], 12, mass=matrices[1])
+    truth = linalg.eigh(*(matrix.toarray() for matrix in matrices), eigvals_only=True)
+    np.testing.assert_allclose(found.eigenvalues, truth[:12], rtol=1e-10, atol=1e-10)
+    assert found.certificate.level == "verified"

@@ -25,6 +25,7 @@ _MARKS = {
     codecs.BOM_UTF16_LE: "utf-16-le",
     codecs.BOM_UTF16_BE: "utf-16-be",
 }
+_WORD = 400  # letters of a number at most, and more than any has
 _PLAIN = bytes([9, 10, *range(32, 127)])
 _WHOLE = b"0123456789 \t\n"
 _NUMERIC = b"+-.eE" + _WHOLE
@@ -120,7 +121,9 @@ def _parsed(text: bytes, dtype: type[np.generic]) -> NDArray[Any] | None:
         return np.empty(0, dtype)
     try:
         found = np.fromstring(text, dtype=dtype, sep=" ")
-        dtype(text.rsplit(maxsplit=1)[-1])  # of which NumPy before 2.3 may take the beginning
+        dtype(
+            text.rstrip()[-_WORD:].split()[-1]
+        )  # of which NumPy before 2.3 may take the beginning
     except (ValueError, OverflowError, DeprecationWarning):
         return None
     if dtype is np.int64 and (found.max() >= 2**62 or found.min() <= -(2**62)):
