@@ -243,15 +243,17 @@ class Match(Rebuilt):
 
         A logistic of score, tears, margin and coverage, fitted to `match` of bodies (FAUST, SCAPE)
         and animals (SMAL, TOSCA), and of bodies with animals: of other kinds of shapes, and of
-        parts (`covered`), it is a guess. Doubts about orientation lower its odds to a
-        fiftieth, about genera to a fifth; maps that are `alike` have equal shares of it; and so
-        much of it is lost as of the landmarks. An only candidate, as of a collection or of an
-        `initial` map, has as much as if a rival scored as well: it tells how well the map fits, not
-        that no other would, so that of an `initial` map that is turned is near 1 on a round
-        surface. Where a collection
-        leaves two surfaces `unconnected`, it is half as much; where `rims` say that what one has
-        the other may lack, a third. It does not see other symmetries: of a surface that is one with
-        itself turned or mirrored, a wrong map looks like a right one. See `ambiguous`.
+        parts (`covered`), it is a guess; of maps that were not bent (`elastic`), which tear more,
+        it is too low between species; spectra alone do not show it what is flipped.
+
+        Doubts about orientation lower its odds to a fiftieth, about genera to a fifth; maps that
+        are `alike` have equal shares of it; and so much of it is lost as of the landmarks. An only
+        candidate, as of a collection or of an `initial` map, has as much as if a rival scored as
+        well: it tells how well the map fits, not that no other would, so that of an `initial` map
+        that is turned is near 1 on a round surface. Where a collection leaves two surfaces
+        `unconnected`, it is half as much; where `rims` say that what one has the other may lack, a
+        third. It does not see other symmetries: of a surface that is one with itself turned or
+        mirrored, a wrong map looks like a right one. See `ambiguous`.
         """
         margin = self.margin if len(self.candidates) > 1 else None
         likely = calibration.confidence_of(

@@ -182,10 +182,10 @@ def test_round_surfaces_are_ambiguous_until_told(radius) -> None:
     assert found.confidence <= 0.5
     there = np.arange(0, one.n, one.n // 12)
     by_landmarks = match(
-        *map(prepared, (one, moved)), landmarks=(truth[there], there), **STIFF, mirrored=False
+        *map(prepared, (one, moved)), landmarks=(truth[there], there), options=QUICK, mirrored=False
     )
     near = cKDTree(one.points).query(other.points)[1]
-    by_places = match(*map(prepared, (one, other)), initial=near, mirrored=False, **STIFF)
+    by_places = match(*map(prepared, (one, other)), initial=near, mirrored=False, options=QUICK)
     spacing = np.sqrt(4 * np.pi / one.n)
     for told in (by_landmarks, by_places):
         assert not told.alike
