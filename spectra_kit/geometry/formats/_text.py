@@ -121,9 +121,8 @@ def _parsed(text: bytes, dtype: type[np.generic]) -> NDArray[Any] | None:
         return np.empty(0, dtype)
     try:
         found = np.fromstring(text, dtype=dtype, sep=" ")
-        dtype(
-            text.rstrip()[-_WORD:].split()[-1]
-        )  # of which NumPy before 2.3 may take the beginning
+        # Of the last word NumPy before 2.3 may take the beginning.
+        dtype(text.rstrip()[-_WORD:].split()[-1])
     except (ValueError, OverflowError, DeprecationWarning):
         return None
     if dtype is np.int64 and (found.max() >= 2**62 or found.min() <= -(2**62)):
