@@ -24,7 +24,7 @@ from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import as_array, check_mass
 from spectra_kit.eigen import Provenance, Spectrum
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.geometry import GeometryLike, TriangleMesh
 from spectra_kit.maps.convert import check_functional_map
 from spectra_kit.operators.laplacian import Laplacian, check_dimension, split_mass
 from spectra_kit.operators.tangent import TangentGradient
@@ -152,7 +152,7 @@ def from_arrays(
 
 
 @checked
-def to_pyvista(geometry: Geometry, **point_arrays: ArrayLike | Spectrum) -> Any:
+def to_pyvista(geometry: GeometryLike, **point_arrays: ArrayLike | Spectrum) -> Any:
     """Return a PyVista mesh with results on its points, to draw, filter or write on.
 
     Parameters

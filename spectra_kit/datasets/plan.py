@@ -13,7 +13,14 @@ from spectra_kit._sparse.memory import factor_gigabytes
 from spectra_kit.eigen import Automatic, Eigensolver
 from spectra_kit.eigen.components import device_of
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import Geometry, TriangleMesh, largest_component, repair, sample
+from spectra_kit.geometry import (
+    Geometry,
+    GeometryLike,
+    TriangleMesh,
+    largest_component,
+    repair,
+    sample,
+)
 from spectra_kit.operators import Laplacian, laplacian, laplacian_many
 
 Descriptor = Literal["hks", "wks", "gps", "dna"]
@@ -98,7 +105,7 @@ class Plan:
             if len(set(named)) < len(named):
                 raise InvalidInputError(name, "be named once each", named)
 
-    def prepared(self, shape: Geometry) -> Geometry:
+    def prepared(self, shape: GeometryLike) -> Geometry:
         """Return a shape as it is looked at: repaired, its largest part alone, or sampled."""
         if self.repair:
             shape = repair(shape).geometry
@@ -110,11 +117,11 @@ class Plan:
             raise InvalidInputError("cloud", "sample meshes", "a point cloud")
         return sample(shape, self.cloud, seed=self.seed)
 
-    def laplacian(self, shape: Geometry) -> Laplacian:
+    def laplacian(self, shape: GeometryLike) -> Laplacian:
         """Return the operator of a prepared shape, with its boundary condition."""
         return laplacian(shape, **self._making)
 
-    def laplacians(self, shapes: Sequence[Geometry]) -> list[Laplacian]:
+    def laplacians(self, shapes: Sequence[GeometryLike]) -> list[Laplacian]:
         """Return the operators of many prepared shapes; errors say of which (`laplacian_many`)."""
         return laplacian_many(shapes, **self._making)
 

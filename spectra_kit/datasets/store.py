@@ -26,7 +26,7 @@ from spectra_kit.eigen import Spectrum, eigensolve
 from spectra_kit.eigen.spectrum_file import write_spectrum_file
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.features import DESCRIPTORS
-from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry import Geometry, GeometryLike, PointCloud, TriangleMesh
 from spectra_kit.operators import TangentGradient, tangent_gradient
 
 Found = TypeVar("Found")
@@ -87,7 +87,7 @@ class SpectrumStore:
         object.__setattr__(self, "path", Path(self.path))
         files.check_or_mark(Path(self.path))
 
-    def key(self, shape: Geometry, plan: Plan) -> str:
+    def key(self, shape: GeometryLike, plan: Plan) -> str:
         """Return the hash of all that a spectrum follows from: 32 hexadecimal digits."""
         return facts_digest(_spectrum_facts(shape_digest(shape), plan))
 
@@ -107,7 +107,7 @@ class SpectrumStore:
         files.read(path, whole=False)  # that it is the one of this key
         return Spectrum.load(path, mmap=mmap)
 
-    def spectrum(self, shape: Geometry, plan: Plan) -> Spectrum:
+    def spectrum(self, shape: GeometryLike, plan: Plan) -> Spectrum:
         """Return the spectrum of a shape; compute and keep it if it is not there.
 
         As of `eigensolve`, but without the times in its provenance. An error leaves nothing behind.
@@ -118,7 +118,7 @@ class SpectrumStore:
         made = eigensolve(plan.laplacian(shape), plan.k, plan.solver)
         return self.keep_spectrum(shape, plan, made)
 
-    def keep_spectrum(self, shape: Geometry, plan: Plan, made: Spectrum) -> Spectrum:
+    def keep_spectrum(self, shape: GeometryLike, plan: Plan, made: Spectrum) -> Spectrum:
         """Keep a spectrum that was computed as a plan says, and its shape.
 
         Return it as all others will see it: in the precision of the plan, without the times in its
@@ -133,7 +133,7 @@ class SpectrumStore:
             write_spectrum_file(path, arrays, made.certificate, made.provenance, facts=facts)
         return made if vectors is made.eigenvectors else replace(made, eigenvectors=vectors)
 
-    def descriptor(self, shape: Geometry, plan: Plan, name: Descriptor) -> Floats:
+    def descriptor(self, shape: GeometryLike, plan: Plan, name: Descriptor) -> Floats:
         """Return a signature of a shape; compute and keep it, and the spectrum, if it is not there.
 
         Of shape (n, c), or (c,) of ShapeDNA, in the precision of the plan.
@@ -160,7 +160,7 @@ class SpectrumStore:
             values: Floats = arrays["values"]
         return values
 
-    def keep_operator(self, shape: Geometry, plan: Plan, name: OperatorName) -> str:
+    def keep_operator(self, shape: GeometryLike, plan: Plan, name: OperatorName) -> str:
         """Keep an operator of a shape, assembled unless it is there, and return its key."""
         facts = _operator_facts(shape_digest(shape), plan, name)
         key = facts_digest(facts)
@@ -178,7 +178,7 @@ class SpectrumStore:
                 return _matrix(arrays, "data")
             return TangentGradient(arrays["frames"], _matrix(arrays, "x"), _matrix(arrays, "y"))
 
-    def keep_shape(self, shape: Geometry) -> str:
+    def keep_shape(self, shape: GeometryLike) -> str:
         """Keep a geometry, and return its key."""
         key = shape_digest(shape)
         arrays = {"points": shape.points}

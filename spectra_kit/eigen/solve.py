@@ -22,7 +22,7 @@ from spectra_kit.eigen.components import device_of, promise_of
 from spectra_kit.eigen.run import is_whole, solve
 from spectra_kit.eigen.spectrum import Spectrum
 from spectra_kit.errors import InvalidInputError, SpectraKitError
-from spectra_kit.geometry import Geometry
+from spectra_kit.geometry import GeometryLike
 from spectra_kit.operators import laplacian as assemble
 from spectra_kit.operators.laplacian import Laplacian
 
@@ -31,7 +31,7 @@ _BYTES = 200  # there, for each point and function: half as many were taken by c
 
 
 @checked
-def spectrum(geometry: Geometry, k: int, solver: Eigensolver = Automatic()) -> Spectrum:  # noqa: B008
+def spectrum(geometry: GeometryLike, k: int, solver: Eigensolver = Automatic()) -> Spectrum:  # noqa: B008
     """Compute the k lowest modes of a surface, by `laplacian` and `eigensolve`.
 
     Parameters

@@ -12,14 +12,14 @@ from spectra_kit.geodesics.heat import Boundary, HeatGeodesics
 from spectra_kit.geodesics.result import DistanceField
 from spectra_kit.geodesics.solvers import Exact, Solver, WithinMemory
 from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
-from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.geometry import Geometry, GeometryLike, TriangleMesh
 from spectra_kit.geometry.seams import warn_of_seams
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation
 
 
 @checked
 def geodesic_distance(
-    geometry: Geometry | IntrinsicTriangulation,
+    geometry: GeometryLike | IntrinsicTriangulation,
     sources: SourcesLike,
     *,
     spectrum: Spectrum | None = None,

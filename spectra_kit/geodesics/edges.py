@@ -13,12 +13,12 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_indices
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics.exact import exact_distances
-from spectra_kit.geometry import TriangleMesh
+from spectra_kit.geometry import MeshLike, TriangleMesh
 
 
 @checked
 def pair_distances(
-    mesh: TriangleMesh,
+    mesh: MeshLike,
     starts: ArrayLike,
     ends: ArrayLike,
     *,
@@ -75,7 +75,7 @@ def pair_distances(
 
 
 @checked
-def edge_graph(mesh: TriangleMesh) -> sparse.csr_array:
+def edge_graph(mesh: MeshLike) -> sparse.csr_array:
     """Return the edges with their lengths as a sparse matrix.
 
     Parameters

@@ -15,7 +15,7 @@ from spectra_kit._core.validate import check_indices
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geodesics.sources import SourcesLike, points_named
 from spectra_kit.geodesics.splits import split_at
-from spectra_kit.geometry import TriangleMesh
+from spectra_kit.geometry import MeshLike, TriangleMesh
 from spectra_kit.geometry.shapes import component_units
 from spectra_kit.operators.checks import check_three_corners
 
@@ -40,7 +40,7 @@ _NEEDLE = 1e-8
 
 @checked
 def exact_distances(
-    mesh: TriangleMesh, sources: SourcesLike, *, targets: ArrayLike | None = None
+    mesh: MeshLike, sources: SourcesLike, *, targets: ArrayLike | None = None
 ) -> Floats:
     """Measure the exact distance along the triangles from the nearest source to each vertex.
 

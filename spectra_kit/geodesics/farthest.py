@@ -12,13 +12,15 @@ from spectra_kit._core.validate import check_count
 from spectra_kit.geodesics.distance import exact_field
 from spectra_kit.geodesics.heat import HeatGeodesics
 from spectra_kit.geodesics.sources import FacePoint, SourcesLike
-from spectra_kit.geometry import Geometry
+from spectra_kit.geometry import GeometryLike
 
 Source = int | FacePoint
 
 
 @checked
-def farthest_point_sampling(geometry: Geometry, count: int, *, start: int | None = None) -> Ints:
+def farthest_point_sampling(
+    geometry: GeometryLike, count: int, *, start: int | None = None
+) -> Ints:
     """Pick points one after the other, each the farthest along the surface from those before.
 
     Gonzalez, *Clustering to Minimize the Maximum Intercluster Distance*, Theoretical Computer

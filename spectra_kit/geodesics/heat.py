@@ -35,7 +35,7 @@ from spectra_kit.geodesics.solvers import (
 )
 from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
 from spectra_kit.geodesics.system import COARSER, System
-from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.geometry.shapes import GeometryLike, TriangleMesh
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 
 Boundary = Literal["neumann", "dirichlet", "average"]
@@ -127,7 +127,7 @@ class HeatGeodesics:
 
     def __init__(
         self,
-        geometry: Geometry | IntrinsicTriangulation,
+        geometry: GeometryLike | IntrinsicTriangulation,
         spectrum: Spectrum | None = None,
         *,
         solver: Solver = WithinMemory(),  # noqa: B008

@@ -15,7 +15,7 @@ from spectra_kit._core.warn import hearing, warn
 from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.heat import HeatGeodesics, solved_together
 from spectra_kit.geodesics.sources import SourcesLike, check_sources
-from spectra_kit.geometry.shapes import Geometry
+from spectra_kit.geometry.shapes import GeometryLike
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation
 
 _TILE = 1024  # rows and columns whose halves are averaged at once: 4 MiB of float32
@@ -23,7 +23,7 @@ _TILE = 1024  # rows and columns whose halves are averaged at once: 4 MiB of flo
 
 @checked
 def distance_matrix(
-    geometry: Geometry | IntrinsicTriangulation | HeatGeodesics,
+    geometry: GeometryLike | IntrinsicTriangulation | HeatGeodesics,
     sources: Sequence[SourcesLike] | None = None,
     *,
     out: NDArray[Any] | None = None,

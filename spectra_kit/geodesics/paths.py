@@ -14,7 +14,7 @@ from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geodesics.exact import propagated
 from spectra_kit.geodesics.sources import FacePoint, SourcesLike, points_named
 from spectra_kit.geodesics.splits import Split, split_at
-from spectra_kit.geometry import TriangleMesh
+from spectra_kit.geometry import MeshLike
 from spectra_kit.operators.checks import of_shape
 
 
@@ -114,7 +114,7 @@ class GeodesicPaths:
     """
 
     def __init__(
-        self, mesh: TriangleMesh, sources: SourcesLike, *, targets: SourcesLike | None = None
+        self, mesh: MeshLike, sources: SourcesLike, *, targets: SourcesLike | None = None
     ) -> None:
         self.mesh = mesh
         begins = points_named("sources", sources, mesh)
@@ -169,9 +169,7 @@ class GeodesicPaths:
 
 
 @checked
-def geodesic_path(
-    mesh: TriangleMesh, source: int | FacePoint, target: int | FacePoint
-) -> SurfacePath:
+def geodesic_path(mesh: MeshLike, source: int | FacePoint, target: int | FacePoint) -> SurfacePath:
     """Find the shortest path along the triangles between two points.
 
     Parameters

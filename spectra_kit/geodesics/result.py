@@ -19,7 +19,7 @@ from spectra_kit._sparse.solution import LinearSolution
 from spectra_kit.geodesics.heat_step import Heat
 from spectra_kit.geodesics.solvers import Direct, Exact, Iterative
 from spectra_kit.geodesics.sources import Sources
-from spectra_kit.geometry.shapes import Geometry
+from spectra_kit.geometry.shapes import GeometryLike
 
 
 @checked
@@ -84,7 +84,7 @@ class DistanceField(Rebuilt):
         """Points on a component with a source, shape (n,)."""
         return np.isfinite(self.distance)
 
-    def plot(self, geometry: Geometry, path: str | os.PathLike[str] | None = None) -> Any:
+    def plot(self, geometry: GeometryLike, path: str | os.PathLike[str] | None = None) -> Any:
         """Draw it on its geometry, sources at points marked; see `show.plot_distance`."""
         at = self.sources.vertices[self.sources.offsets == 0]
         sources = geometry.points[at]

@@ -11,13 +11,13 @@ from spectra_kit._core.validate import check_indices
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics.paths import SurfacePath
 from spectra_kit.geodesics.sources import points_named
-from spectra_kit.geometry import TriangleMesh
+from spectra_kit.geometry import MeshLike
 from spectra_kit.geometry.shapes import box_unit
 from spectra_kit.geometry.winding import turn, wound_against
 
 
 @checked
-def shortened_path(mesh: TriangleMesh, vertices: ArrayLike, *, closed: bool = False) -> SurfacePath:
+def shortened_path(mesh: MeshLike, vertices: ArrayLike, *, closed: bool = False) -> SurfacePath:
     """Pull a path along edges tight, without lifting it over what it winds around.
 
     Sharp and Crane, *You can find geodesic paths in triangle meshes by just flipping edges*, ACM

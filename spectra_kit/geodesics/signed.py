@@ -13,7 +13,7 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_indices
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics.vectors import VectorHeat
-from spectra_kit.geometry import Geometry
+from spectra_kit.geometry import GeometryLike
 from spectra_kit.geometry.vectors import unit_vectors
 from spectra_kit.operators import oriented_triangles
 from spectra_kit.operators.tangent import outward
@@ -23,7 +23,7 @@ _CANCELLED = 1e-9  # of a step along a curve
 
 
 @checked
-def signed_distance(geometry: Geometry, curves: ArrayLike | Sequence[ArrayLike]) -> Floats:
+def signed_distance(geometry: GeometryLike, curves: ArrayLike | Sequence[ArrayLike]) -> Floats:
     """Measure how far all points are from oriented curves, and on which side.
 
     Feng and Crane, *A Heat Method for Generalized Signed Distance*, ACM TOG 43(4), 2024: normals of

@@ -14,7 +14,7 @@ from spectra_kit._core.records import frozen
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count, check_indices, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.geometry import GeometryLike, MeshLike, TriangleMesh
 from spectra_kit.geometry.shapes import box_unit
 
 _FAR = 1e6  # times the largest coordinate of the points
@@ -70,7 +70,7 @@ class FacePoint:
         object.__setattr__(self, "face", check_count("face", self.face, low=0))
         object.__setattr__(self, "barycentric", tuple((weights / weights.sum()).tolist()))
 
-    def position(self, mesh: TriangleMesh) -> Floats:
+    def position(self, mesh: MeshLike) -> Floats:
         """Return the coordinates (3,) of the point on a mesh, whose faces it counts."""
         return np.asarray(np.array(self.barycentric) @ mesh.points[_corners(self, mesh)])
 
@@ -176,7 +176,7 @@ def check_sources(
 
 
 @checked
-def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint:
+def nearest_source(geometry: GeometryLike, coordinate: ArrayLike) -> int | FacePoint:
     """Find the source nearest to a point of space.
 
     Parameters

@@ -20,7 +20,7 @@ from spectra_kit.geodesics.paths import SurfacePath, path_of
 from spectra_kit.geodesics.sources import FacePoint, points_named
 from spectra_kit.geodesics.splits import split_at
 from spectra_kit.geodesics.vectors import VectorHeat
-from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.geometry import GeometryLike, TriangleMesh
 from spectra_kit.geometry.vectors import frames_of, unit_vectors
 from spectra_kit.operators.checks import of_shape
 
@@ -83,7 +83,7 @@ class LogarithmicMap(Rebuilt):
 
 @checked
 def trace_geodesic(
-    geometry: Geometry,
+    geometry: GeometryLike,
     source: int | FacePoint,
     direction: ArrayLike,
     *,
@@ -151,7 +151,7 @@ def trace_geodesic(
 
 
 @checked
-def logarithmic_map(geometry: Geometry, source: int | FacePoint) -> LogarithmicMap:
+def logarithmic_map(geometry: GeometryLike, source: int | FacePoint) -> LogarithmicMap:
     """Return direction and distance of all points, seen from one: inverse of tracing.
 
     Parameters

@@ -18,7 +18,7 @@ from spectra_kit.eigen import eigensolve
 from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.heat_step import HeatStep
 from spectra_kit.geodesics.sources import FacePoint, spread
-from spectra_kit.geometry import Geometry
+from spectra_kit.geometry import GeometryLike
 from spectra_kit.geometry.vectors import sums, unit_vectors
 from spectra_kit.operators import intrinsic_delaunay, tangent_frames
 from spectra_kit.operators.checks import of_shape
@@ -72,7 +72,7 @@ class VectorHeat:
     True
     """
 
-    def __init__(self, geometry: Geometry, *, time_coefficient: float = 1.0) -> None:
+    def __init__(self, geometry: GeometryLike, *, time_coefficient: float = 1.0) -> None:
         self.geometry, self._time = geometry, check_positive("time_coefficient", time_coefficient)
         self.triangulation = intrinsic_delaunay(geometry)
         self.frames = tangent_frames(geometry)
@@ -191,7 +191,7 @@ class VectorHeat:
 
 
 @checked
-def transport_vectors(geometry: Geometry, sources: Places, vectors: ArrayLike) -> Floats:
+def transport_vectors(geometry: GeometryLike, sources: Places, vectors: ArrayLike) -> Floats:
     """Carry vectors from some places to all points along shortest paths, by one `VectorHeat`.
 
     Parameters
@@ -221,7 +221,7 @@ def transport_vectors(geometry: Geometry, sources: Places, vectors: ArrayLike) -
 
 
 @checked
-def smoothest_field(geometry: Geometry) -> Floats:
+def smoothest_field(geometry: GeometryLike) -> Floats:
     """Find the tangent vector field that turns and changes least.
 
     Knöppel, Crane, Pinkall and Schröder, *Globally Optimal Direction Fields*, ACM TOG 32(4), 2013,

@@ -20,7 +20,7 @@ from spectra_kit.geometry.overlays import Overlay, read_overlay, write_overlay
 from spectra_kit.geometry.reference import Reference, disk, rectangle, sphere, torus
 from spectra_kit.geometry.repair import Repaired, RepairReport, repair, restrict, without_nan
 from spectra_kit.geometry.sampling import GaussianDensity, Samples, sample, sample_with_origin
-from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry.shapes import Geometry, GeometryLike, MeshLike, PointCloud, TriangleMesh
 from spectra_kit.geometry.tetrahedra import BoundarySurface, TetrahedralMesh
 
 __all__ = [
@@ -29,7 +29,9 @@ __all__ = [
     "Diagnosis",
     "GaussianDensity",
     "Geometry",
+    "GeometryLike",
     "LabelSurface",
+    "MeshLike",
     "Normalization",
     "Overlay",
     "PointCloud",

@@ -14,7 +14,7 @@ from spectra_kit._core.warn import warn
 from spectra_kit.errors import IgnoredContentWarning
 from spectra_kit.geometry.io import read
 from spectra_kit.geometry.polygons import Polygons, surface
-from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry.shapes import Geometry, GeometryLike, PointCloud, TriangleMesh
 from spectra_kit.geometry.tetrahedra import TetrahedralMesh
 from spectra_kit.geometry.toolkits import arrays_of, refused, spatial
 
@@ -62,7 +62,7 @@ def as_geometry(thing: Any) -> Geometry:
 
 
 @checked
-def _same(thing: Geometry) -> Geometry:
+def _same(thing: GeometryLike) -> Geometry:
     """Return what the annotation lets through, or makes of it."""
     return thing
 

@@ -9,7 +9,7 @@ import numpy as np
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Ints
-from spectra_kit.geometry.shapes import TriangleMesh, box_unit
+from spectra_kit.geometry.shapes import MeshLike, TriangleMesh, box_unit
 
 
 @checked
@@ -33,7 +33,7 @@ class Component(Rebuilt):
 
 
 @checked
-def components(mesh: TriangleMesh) -> list[Component]:
+def components(mesh: MeshLike) -> list[Component]:
     """Split `mesh` into connected components.
 
     Two faces are connected if they share a vertex (index); faces that only touch in space are
@@ -64,7 +64,7 @@ def components(mesh: TriangleMesh) -> list[Component]:
 
 
 @checked
-def largest_component(mesh: TriangleMesh) -> Component:
+def largest_component(mesh: MeshLike) -> Component:
     """Return the connected component of largest area.
 
     Parameters

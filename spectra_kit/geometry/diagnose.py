@@ -13,7 +13,7 @@ from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats
 from spectra_kit.geometry.seams import HANGING, seams
 from spectra_kit.geometry.shapes import (
-    Geometry,
+    GeometryLike,
     TriangleMesh,
     box_unit,
     connected,
@@ -213,7 +213,7 @@ class Diagnosis:
 
 
 @checked
-def diagnose(geometry: Geometry) -> Diagnosis:
+def diagnose(geometry: GeometryLike) -> Diagnosis:
     """Count what may be wrong with `geometry`.
 
     Parameters

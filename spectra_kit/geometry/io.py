@@ -39,7 +39,7 @@ from spectra_kit.geometry.formats._arrays import Arrays
 from spectra_kit.geometry.formats._room import PACKED, beginning, format_of, unpacked
 from spectra_kit.geometry.formats.foreign import advice_for, is_foreign
 from spectra_kit.geometry.polygons import surface
-from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry.shapes import Geometry, GeometryLike, PointCloud, TriangleMesh
 
 Made = TypeVar("Made")
 _WORD = re.compile(r"[!-~]+$")
@@ -227,7 +227,7 @@ def _geometry(points: Any, faces: Any, kind: Literal["mesh", "cloud"] | None) ->
 
 @checked
 def write(
-    geometry: Geometry,
+    geometry: GeometryLike,
     path: str | os.PathLike[str],
     *,
     point_data: Mapping[str, ArrayLike] | None = None,

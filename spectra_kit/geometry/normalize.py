@@ -13,7 +13,7 @@ from spectra_kit._core.records import Brief, frozen
 from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_points, check_positive, quantity, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry.shapes import Geometry, GeometryLike, MeshLike, PointCloud, TriangleMesh
 
 Movable = TypeVar("Movable", bound=Floats | TriangleMesh | PointCloud)
 
@@ -56,7 +56,7 @@ class Normalization(Brief):
         object.__setattr__(self, "scale", check_positive("scale", self.scale))
 
     @classmethod
-    def unit_box(cls, geometry: Geometry) -> Normalization:
+    def unit_box(cls, geometry: GeometryLike) -> Normalization:
         """Centre the bounding box at the origin, its longest side 1: in [-0.5, 0.5]^3."""
         low, high = geometry.points.min(axis=0), geometry.points.max(axis=0)
         side = float((high - low).max())
@@ -69,7 +69,7 @@ class Normalization(Brief):
         return cls(low + 0.5 * (high - low), side)
 
     @classmethod
-    def unit_area(cls, mesh: TriangleMesh) -> Normalization:
+    def unit_area(cls, mesh: MeshLike) -> Normalization:
         """Centre the surface at its centroid and make its area 1."""
         if mesh.area == 0:
             raise InvalidInputError("mesh", "have area", "only degenerate faces")
@@ -100,7 +100,7 @@ def _moved(geometry: Movable, move: Callable[[Floats], Floats]) -> Movable:
 
 
 @checked
-def normalize(geometry: Geometry) -> tuple[Geometry, Normalization]:
+def normalize(geometry: GeometryLike) -> tuple[Geometry, Normalization]:
     """Return the geometry in the unit box, and the map that took it there.
 
     Parameters

@@ -25,7 +25,13 @@ from spectra_kit.errors import InvalidInputError, SpectraKitWarning
 from spectra_kit.geometry.io import content_of
 from spectra_kit.geometry.polygons import Polygons, surface
 from spectra_kit.geometry.seams import divided, joined, seams
-from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh, distinct_rows
+from spectra_kit.geometry.shapes import (
+    Geometry,
+    GeometryLike,
+    PointCloud,
+    TriangleMesh,
+    distinct_rows,
+)
 from spectra_kit.geometry.winding import turn, wound_against
 
 
@@ -108,7 +114,9 @@ class Repaired(Rebuilt):
 
 
 @checked
-def repair(geometry: Geometry, *, merge: bool = True, tolerance: float | None = None) -> Repaired:
+def repair(
+    geometry: GeometryLike, *, merge: bool = True, tolerance: float | None = None
+) -> Repaired:
     """Return a clean copy of `geometry`: each point and face once, every face with area.
 
     For a mesh: coincident vertices are joined, and those that repeat each other up to rounding
@@ -223,7 +231,7 @@ def _near(geometry: Geometry, points: Floats, label: Ints, tolerance: float) -> 
 
 
 @checked
-def restrict(geometry: Geometry, keep: Any) -> Repaired:
+def restrict(geometry: GeometryLike, keep: Any) -> Repaired:
     """Return the region of some points alone: cortex without its medial wall, a marked part.
 
     Parameters

@@ -13,7 +13,7 @@ from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count, check_points, check_positive, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import PointCloud, TriangleMesh, box_unit
+from spectra_kit.geometry.shapes import MeshLike, PointCloud, TriangleMesh, box_unit
 
 _MOST = 2**48  # points; more than any memory holds, but their bytes can be counted
 
@@ -84,7 +84,7 @@ class Samples(Rebuilt):
 
 @checked
 def sample(
-    mesh: TriangleMesh,
+    mesh: MeshLike,
     n: int,
     *,
     seed: int,
@@ -121,7 +121,7 @@ def sample(
 
 @checked
 def sample_with_origin(
-    mesh: TriangleMesh,
+    mesh: MeshLike,
     n: int,
     *,
     seed: int,

@@ -9,10 +9,10 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
@@ -69,6 +69,10 @@ class PointCloud(_Shape):
 
     points: Floats
 
+    if TYPE_CHECKING:  # what it is made of is more than what it holds
+
+        def __init__(self, points: ArrayLike) -> None: ...
+
     def __post_init__(self) -> None:
         # A copy: what the caller later writes into the array must not reach in here.
         points = check_points("points", self.points).copy()
@@ -121,6 +125,10 @@ class TriangleMesh(_Shape):
 
     points: Floats
     faces: Ints
+
+    if TYPE_CHECKING:
+
+        def __init__(self, points: ArrayLike, faces: ArrayLike) -> None: ...
 
     def __post_init__(self) -> None:
         points = check_points("points", self.points).copy()
@@ -294,6 +302,14 @@ def distinct_rows(rows: Floats | Ints) -> tuple[Ints, Ints]:
 
 
 Geometry = TriangleMesh | PointCloud
+
+# What `checked` makes a geometry or a mesh of (paths, pairs of arrays, objects of others) has no
+# type in common: a type checker is told that it may be anything, and what it has become.
+if TYPE_CHECKING:
+    GeometryLike: TypeAlias = Geometry | Any
+    MeshLike: TypeAlias = TriangleMesh | Any
+else:
+    GeometryLike, MeshLike = Geometry, TriangleMesh
 
 
 def power_of_two(length: float | Floats) -> Floats:

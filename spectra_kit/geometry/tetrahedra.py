@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._core.checked import checked
 from spectra_kit._core.records import Rebuilt, frozen
@@ -68,6 +68,10 @@ class TetrahedralMesh(Rebuilt):
 
     points: Floats
     cells: Ints
+
+    if TYPE_CHECKING:  # what it is made of is more than what it holds
+
+        def __init__(self, points: ArrayLike, cells: ArrayLike) -> None: ...
 
     def __post_init__(self) -> None:
         points, cells = check_points("points", self.points), as_array("cells", self.cells)

@@ -18,7 +18,7 @@ from spectra_kit.eigen import Automatic, Eigensolver
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.features import Embedding, Surface, embed_batch
 from spectra_kit.features.embedding import finite
-from spectra_kit.geometry import Geometry, TriangleMesh, sample
+from spectra_kit.geometry import Geometry, GeometryLike, TriangleMesh, sample
 from spectra_kit.learn.networks import Batch, Need
 from spectra_kit.learn.tensors import block_diagonal, csr_tensor
 from spectra_kit.operators import tangent_gradient
@@ -80,7 +80,7 @@ class Recipe:
             "rotation" not in one.invariant_to for one in self.embeddings
         )
 
-    def vector(self, shape: Geometry) -> Floats:
+    def vector(self, shape: GeometryLike) -> Floats:
         """Return the embeddings of a whole shape, one after the other: (c,)."""
         surface = _surface(self, _seen(self, shape))
         return finite(np.concatenate([e.of_all(surface) for e in self.embeddings]))

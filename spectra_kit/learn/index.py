@@ -19,7 +19,7 @@ from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_count
 from spectra_kit._core.version import VERSION
 from spectra_kit.errors import InvalidInputError, SpectraKitError
-from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh, read
+from spectra_kit.geometry import Geometry, GeometryLike, PointCloud, TriangleMesh, read
 from spectra_kit.geometry.io import READERS, readable_files
 from spectra_kit.learn import files
 from spectra_kit.learn.examples import Recipe
@@ -74,7 +74,7 @@ class ShapeIndex(Brief):
                 "vectors", f"have {n} rows, as there are names, and digests", rows
             )
 
-    def nearest(self, shape: Geometry, *, count: int = 8) -> tuple[Neighbour, ...]:
+    def nearest(self, shape: GeometryLike, *, count: int = 8) -> tuple[Neighbour, ...]:
         """Return the shapes that are most like one in any unit, the nearest first.
 
         They are fewer than `count` where the index holds fewer.

@@ -18,7 +18,7 @@ from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import as_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import Geometry, TriangleMesh, sample_with_origin
+from spectra_kit.geometry import Geometry, GeometryLike, TriangleMesh, sample_with_origin
 from spectra_kit.learn.examples import Example, Recipe, prepared
 from spectra_kit.learn.fitting import Model, Training, fit, predicted, with_copies
 from spectra_kit.learn.heads import Head
@@ -104,7 +104,7 @@ class Classifier:
     def __repr__(self) -> str:
         return f"Classifier({len(self.names)} classes, {self.recipe}, {self.method})"
 
-    def classify(self, shape: Geometry) -> Classification:
+    def classify(self, shape: GeometryLike) -> Classification:
         """Tell what a shape of one component is, in any unit."""
         if isinstance(self.learned, Model):
             example, _ = prepared(self.recipe, shape, self.learned.sees)
@@ -141,7 +141,7 @@ class Segmenter:
     def __repr__(self) -> str:
         return f"Segmenter({len(self.names)} classes, {self.recipe}, {self.method})"
 
-    def segment(self, shape: Geometry) -> Segmentation:
+    def segment(self, shape: GeometryLike) -> Segmentation:
         """Tell what part each point of a shape is, and each face of a mesh, in any unit."""
         example, seen = prepared(self.recipe, shape, self.learned.sees)
         scores, faces = carried(seen, predicted(self.learned, self.recipe, example), shape), None
@@ -180,7 +180,7 @@ def _scores(learned: Any, vector: Floats, classes: int) -> Floats:
 
 @checked
 def train_classifier(
-    shapes: Sequence[Geometry],
+    shapes: Sequence[GeometryLike],
     labels: ArrayLike,
     *,
     recipe: Recipe,
@@ -257,7 +257,7 @@ def train_classifier(
 
 @checked
 def train_segmenter(
-    shapes: Sequence[Geometry],
+    shapes: Sequence[GeometryLike],
     labels: Sequence[Annotated[ArrayLike, object]],
     *,
     of: Literal["points", "faces"] = "points",

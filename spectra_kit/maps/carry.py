@@ -16,7 +16,7 @@ from spectra_kit._core.types import Bools, Floats, Ints
 from spectra_kit._core.validate import check_faces, check_points, quantity, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics.sources import FacePoint, spread
-from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.geometry import Geometry, GeometryLike, TriangleMesh
 from spectra_kit.geometry.vectors import frames_of, sums, unit_vectors
 from spectra_kit.maps.deform import rows_of
 from spectra_kit.maps.places import (
@@ -132,8 +132,8 @@ class Carrier:
 
     def __init__(
         self,
-        source: Geometry,
-        target: Geometry,
+        source: GeometryLike,
+        target: GeometryLike,
         along: Match | sparse.sparray | sparse.spmatrix | ArrayLike,
     ) -> None:
         self.source, self.target = source, target

@@ -13,7 +13,7 @@ from spectra_kit._core.records import Rebuilt
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import check_count
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import Component, TriangleMesh, components
+from spectra_kit.geometry import Component, MeshLike, TriangleMesh, components
 from spectra_kit.maps.match import LastSteps, matched_from
 from spectra_kit.maps.prepare import LOWEST_K, Prepared, prepared, truncated
 from spectra_kit.maps.result import DEFAULT, Match, MatchOptions
@@ -55,8 +55,8 @@ class ComponentMatch(Rebuilt):
 
 @checked
 def match_components(
-    source: TriangleMesh,
-    target: TriangleMesh,
+    source: MeshLike,
+    target: MeshLike,
     *,
     mirrored: bool | None = None,
     k: int = 150,

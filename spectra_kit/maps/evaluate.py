@@ -25,7 +25,7 @@ from spectra_kit._core.validate import (
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics.edges import pair_distances
-from spectra_kit.geometry import TriangleMesh
+from spectra_kit.geometry import MeshLike
 from spectra_kit.maps.convert import at_unit_area, check_point_map, induced
 from spectra_kit.maps.nearest import nearest
 from spectra_kit.maps.score import coverage_over_chance
@@ -147,7 +147,7 @@ class MapErrors(Rebuilt):
 
 @checked
 def map_errors(
-    mesh: TriangleMesh,
+    mesh: MeshLike,
     point_map: ArrayLike,
     truth: Truth,
     *,
@@ -197,7 +197,7 @@ def map_errors(
 
 @checked
 def geodesic_errors(
-    mesh: TriangleMesh,
+    mesh: MeshLike,
     point_map: ArrayLike,
     truth: Truth,
     *,
@@ -373,7 +373,7 @@ def dirichlet_energy(source: Laplacian, target: Laplacian, point_map: ArrayLike)
 
 
 @checked
-def bijectivity_errors(mesh: TriangleMesh, point_map: ArrayLike, back: ArrayLike) -> Floats:
+def bijectivity_errors(mesh: MeshLike, point_map: ArrayLike, back: ArrayLike) -> Floats:
     """Measure how far each source vertex is from where it comes back to.
 
     Parameters

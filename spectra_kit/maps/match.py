@@ -15,7 +15,7 @@ from spectra_kit._core.types import Bools, Floats, Ints
 from spectra_kit._core.validate import check_count
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import Geometry
+from spectra_kit.geometry import Geometry, GeometryLike
 from spectra_kit.maps.convert import (
     Correspondence,
     at_unit_area,
@@ -58,11 +58,11 @@ _NEAR = 0.05  # the same at unit area, where steps are finer: bending is rigid b
 
 @checked
 def match(
-    source: Geometry | Spectrum | Prepared,
-    target: Geometry | Spectrum | Prepared,
+    source: GeometryLike | Spectrum | Prepared,
+    target: GeometryLike | Spectrum | Prepared,
     *,
-    source_geometry: Geometry | None = None,
-    target_geometry: Geometry | None = None,
+    source_geometry: GeometryLike | None = None,
+    target_geometry: GeometryLike | None = None,
     landmarks: Landmarks | None = None,
     initial: ArrayLike | None = None,
     mirrored: bool | None = None,

@@ -29,7 +29,7 @@ from spectra_kit.eigen import Spectrum, spectrum
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.features import wave_kernel_signature
 from spectra_kit.geodesics.edges import edge_graph
-from spectra_kit.geometry import Geometry, TriangleMesh, largest_component
+from spectra_kit.geometry import GeometryLike, TriangleMesh, largest_component
 from spectra_kit.maps.calibration import CONVINCING_PART
 from spectra_kit.maps.convert import induced
 from spectra_kit.maps.deform import Contact, contact
@@ -64,8 +64,8 @@ _DEPENDENT = 1e-2  # relative; functions smaller on the region, or nearly depend
 
 @checked
 def match_part(
-    part: Geometry | Prepared,
-    whole: Geometry | Prepared,
+    part: GeometryLike | Prepared,
+    whole: GeometryLike | Prepared,
     *,
     mirrored: bool | None = None,
     k: int = 150,

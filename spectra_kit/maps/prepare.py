@@ -19,7 +19,7 @@ from spectra_kit.eigen import Spectrum
 from spectra_kit.eigen import spectrum as solved
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.features import farthest_points, wave_kernel_signature
-from spectra_kit.geometry import Geometry
+from spectra_kit.geometry import Geometry, GeometryLike
 from spectra_kit.maps.subsample import Subsample, thinned
 from spectra_kit.maps.surface import Surface, lengths_of, smoothed_mean_curvature
 from spectra_kit.operators.oriented import area_form, oriented_triangles
@@ -136,8 +136,8 @@ class Prepared(Rebuilt):
 
 @checked
 def prepare(
-    spectrum: Geometry | Spectrum,
-    geometry: Geometry | None = None,
+    spectrum: GeometryLike | Spectrum,
+    geometry: GeometryLike | None = None,
     *,
     n_samples: int = 600,
     n_points: int = 5000,

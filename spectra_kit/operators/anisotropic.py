@@ -14,7 +14,7 @@ from spectra_kit._core.types import Floats
 from spectra_kit._core.validate import check_positive, quantity
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.seams import warn_of_seams
-from spectra_kit.geometry.shapes import TriangleMesh
+from spectra_kit.geometry.shapes import MeshLike, TriangleMesh
 from spectra_kit.geometry.vectors import frames_of
 from spectra_kit.operators.checks import check_faces_usable, symmetric_tensors, units_of
 from spectra_kit.operators.curvature import curvature
@@ -25,7 +25,7 @@ _STILL = 1e-12  # share of the heat that flows, below which the operator is sing
 
 @checked
 def anisotropic_laplacian(
-    mesh: TriangleMesh, strength: float, *, scale: float | None = None
+    mesh: MeshLike, strength: float, *, scale: float | None = None
 ) -> Laplacian:
     """Build a Laplacian for heat that flows more slowly along directions in which a mesh bends.
 
@@ -85,7 +85,7 @@ def anisotropic_laplacian(
 
 
 @checked
-def tensor_laplacian(mesh: TriangleMesh, tensors: ArrayLike) -> Laplacian:
+def tensor_laplacian(mesh: MeshLike, tensors: ArrayLike) -> Laplacian:
     """Build the operator ``-div(D grad u)`` with a tensor D on each face.
 
     Parameters

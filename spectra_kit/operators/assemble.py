@@ -16,7 +16,7 @@ from spectra_kit._core.clock import Clock
 from spectra_kit._core.validate import check_count, quantity
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry.seams import warn_of_seams
-from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.geometry.shapes import GeometryLike, MeshLike, TriangleMesh
 from spectra_kit.operators.checks import (
     check_distinct,
     check_faces_usable,
@@ -38,7 +38,7 @@ _BYTES_PER_FACE = 3_000
 
 @checked
 def laplacian(
-    geometry: Geometry,
+    geometry: GeometryLike,
     *,
     operator: Literal["robust", "cotan", "knn", "delaunay"] | None = None,
     boundary: Literal["neumann", "dirichlet"] = "neumann",
@@ -93,7 +93,7 @@ def laplacian(
 
 @checked
 def robust_laplacian(
-    geometry: Geometry,
+    geometry: GeometryLike,
     *,
     mollify_factor: float = 1e-5,
     n_neighbors: int = 30,
@@ -181,7 +181,7 @@ def _check_room(size: int) -> None:
 
 @checked
 def delaunay_laplacian(
-    geometry: Geometry,
+    geometry: GeometryLike,
     *,
     mollify_factor: float = 1e-5,
     n_neighbors: int = 30,
@@ -224,7 +224,7 @@ def delaunay_laplacian(
 
 @checked
 def cotan_laplacian(
-    mesh: TriangleMesh, *, mass: Literal["lumped", "consistent"] = "lumped"
+    mesh: MeshLike, *, mass: Literal["lumped", "consistent"] = "lumped"
 ) -> Laplacian:
     """Build the cotangent Laplacian, linear elements, with the mixed Voronoi mass, as libigl's.
 
@@ -288,7 +288,7 @@ def cotan_laplacian(
 
 
 @checked
-def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
+def knn_laplacian(geometry: GeometryLike, *, n_neighbors: int = 20) -> Laplacian:
     """Build the density-normalised Gaussian k-nearest-neighbour graph Laplacian.
 
     Parameters

@@ -14,7 +14,7 @@ from spectra_kit._core.records import Rebuilt, frozen
 from spectra_kit._core.types import Bools, Floats, Ints
 from spectra_kit._core.validate import real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.geometry.shapes import Geometry, GeometryLike, TriangleMesh
 from spectra_kit.geometry.vectors import frames_of, sums, unit_vectors
 from spectra_kit.geometry.winding import sides_of, turn, wound_against
 from spectra_kit.operators.checks import of_shape, unit_of
@@ -72,7 +72,7 @@ class TangentFrames(Rebuilt):
 
 
 @checked
-def tangent_frames(geometry: Geometry, *, n_neighbors: int = 30) -> TangentFrames:
+def tangent_frames(geometry: GeometryLike, *, n_neighbors: int = 30) -> TangentFrames:
     """Return the tangent planes at the points of a surface.
 
     Parameters
@@ -117,7 +117,7 @@ def tangent_frames(geometry: Geometry, *, n_neighbors: int = 30) -> TangentFrame
 
 
 @checked
-def connection_laplacian(geometry: Geometry, *, n_neighbors: int = 30) -> Laplacian:
+def connection_laplacian(geometry: GeometryLike, *, n_neighbors: int = 30) -> Laplacian:
     """Build the Laplacian of tangent vector fields, whose energy is how much they turn and change.
 
     Parameters

@@ -16,7 +16,7 @@ from spectra_kit._core.validate import as_array, check_positive, quantity
 from spectra_kit._core.warn import warn
 from spectra_kit.errors import DoubtfulCurvatureWarning, InvalidInputError
 from spectra_kit.geometry.seams import warn_of_seams
-from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry.shapes import GeometryLike, PointCloud, TriangleMesh
 from spectra_kit.operators.checks import check_faces_usable, unit_of, units_of
 from spectra_kit.operators.oriented import is_inside_out, oriented_triangles
 
@@ -93,7 +93,7 @@ class Curvature(Rebuilt):
 
 
 @checked
-def curvature(geometry: Geometry, *, scale: float | None = None) -> Curvature:
+def curvature(geometry: GeometryLike, *, scale: float | None = None) -> Curvature:
     """Fit a quadric to the neighbours of each point, and tell how it bends.
 
     Parameters

@@ -23,7 +23,7 @@ from spectra_kit._core.validate import (
 )
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.seams import warn_of_seams
-from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.geometry.shapes import Geometry, GeometryLike, TriangleMesh
 from spectra_kit.operators.checks import (
     check_faces_usable,
     check_mollify_factor,
@@ -175,7 +175,7 @@ class IntrinsicTriangulation(Rebuilt):
 
 @checked
 def intrinsic_delaunay(
-    geometry: Geometry,
+    geometry: GeometryLike,
     *,
     mollify_factor: float = 1e-5,
     n_neighbors: int = 30,

@@ -18,7 +18,7 @@ from spectra_kit._core.threads import (
 )
 from spectra_kit._core.warn import hearing, tell
 from spectra_kit.errors import SpectraKitWarning
-from spectra_kit.geometry.shapes import Geometry, PointCloud
+from spectra_kit.geometry.shapes import GeometryLike, PointCloud
 from spectra_kit.operators.assemble import laplacian
 from spectra_kit.operators.checks import off_host
 from spectra_kit.operators.intrinsic import cloud_triangulation
@@ -37,7 +37,7 @@ _NEIGHBORS = 30  # as `laplacian` has it
 
 @checked
 def laplacian_many(
-    geometries: Sequence[Geometry],
+    geometries: Sequence[GeometryLike],
     *,
     operator: Literal["robust", "cotan", "knn", "delaunay"] | None = None,
     boundary: Literal["neumann", "dirichlet"] = "neumann",

@@ -20,7 +20,7 @@ from spectra_kit._core.validate import check_count, check_faces, check_mass, qua
 from spectra_kit._core.warn import warn
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.geometry.normals import agree_on_signs, symmetric_votes, turn_outwards
-from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry.shapes import GeometryLike, PointCloud, TriangleMesh
 from spectra_kit.geometry.vectors import sums
 from spectra_kit.geometry.winding import (
     FLIP,
@@ -99,7 +99,7 @@ class OrientedTriangles(Rebuilt):
 
 
 @checked
-def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> OrientedTriangles:
+def oriented_triangles(geometry: GeometryLike, *, n_neighbors: int = 30) -> OrientedTriangles:
     """Return triangles of a surface that all turn the same way round.
 
     Parameters

@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats, Ints
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.geometry.shapes import Geometry, GeometryLike, TriangleMesh
 from spectra_kit.geometry.vectors import frames_of, sums
 from spectra_kit.operators.checks import check_cloud_usable, check_faces_usable, of_shape, unit_of
 from spectra_kit.operators.local_delaunay import local_triangles
@@ -38,7 +38,7 @@ class TangentGradient(NamedTuple):
 
 @checked
 def tangent_gradient(
-    geometry: Geometry, *, n_neighbors: int = 30, oriented: bool = False
+    geometry: GeometryLike, *, n_neighbors: int = 30, oriented: bool = False
 ) -> TangentGradient:
     """Return tangent planes at the points of a surface, and gradients in them.
 
@@ -79,7 +79,7 @@ def tangent_gradient(
 
 
 @checked
-def gradient(geometry: Geometry, values: ArrayLike, *, n_neighbors: int = 30) -> Floats:
+def gradient(geometry: GeometryLike, values: ArrayLike, *, n_neighbors: int = 30) -> Floats:
     """Return the gradient of a function at each point, as a vector of space.
 
     Parameters
@@ -111,7 +111,7 @@ def gradient(geometry: Geometry, values: ArrayLike, *, n_neighbors: int = 30) ->
 
 
 @checked
-def divergence(geometry: Geometry, vectors: ArrayLike, *, n_neighbors: int = 30) -> Floats:
+def divergence(geometry: GeometryLike, vectors: ArrayLike, *, n_neighbors: int = 30) -> Floats:
     """Return the divergence of a vector field at each point: minus the adjoint of `gradient`.
 
     Parameters

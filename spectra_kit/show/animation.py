@@ -14,7 +14,7 @@ from spectra_kit._core.types import Bytes, Floats
 from spectra_kit._core.validate import check_count, check_positive
 from spectra_kit.eigen import Spectrum
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import estimate_normals, orient_normals
+from spectra_kit.geometry import GeometryLike, estimate_normals, orient_normals
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.maps.surface import outward_normals
 from spectra_kit.operators.oriented import oriented_triangles
@@ -52,7 +52,7 @@ class Film:
 
 @written(Film.write, ".gif", ".mp4")
 def animate_modes(
-    geometry: Geometry,
+    geometry: GeometryLike,
     spectrum: Spectrum,
     *,
     path: PathLike | None = None,

@@ -14,7 +14,7 @@ from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.sampling import sample
-from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.geometry.shapes import Geometry, GeometryLike, TriangleMesh
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 
@@ -65,7 +65,7 @@ class View:
         if not np.isfinite(self.turn):
             raise InvalidInputError("turn", "be a finite number of degrees", repr(self.turn))
 
-    def rotation(self, geometry: Geometry) -> Floats:
+    def rotation(self, geometry: GeometryLike) -> Floats:
         """Return the rotation (3, 3) whose rows point right, up, and towards the viewer."""
         if isinstance(geometry, TriangleMesh) and geometry.area > 0:
             points = sample(geometry, 4000, seed=0).points

@@ -12,7 +12,7 @@ from spectra_kit._core.types import Floats, Ints
 from spectra_kit._core.validate import as_array, check_count, check_points
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import SurfacePath
-from spectra_kit.geometry.shapes import Geometry
+from spectra_kit.geometry.shapes import GeometryLike
 from spectra_kit.geometry.vectors import unit_vectors
 from spectra_kit.operators.checks import of_shape
 from spectra_kit.show.camera import View
@@ -31,7 +31,7 @@ _HEAD, _OPEN = 0.35, 0.5  # of an arrow: how long its head is, and how wide over
 
 @plotted
 def plot_curves(
-    geometry: Geometry,
+    geometry: GeometryLike,
     curves: Sequence[SurfacePath | ArrayLike],
     *,
     path: PathLike | None = None,
@@ -76,7 +76,7 @@ def plot_curves(
 
 @plotted
 def plot_vectors(
-    geometry: Geometry,
+    geometry: GeometryLike,
     vectors: ArrayLike,
     *,
     path: PathLike | None = None,

@@ -14,7 +14,7 @@ from spectra_kit._core.checked import checked
 from spectra_kit._core.types import Bytes, Floats
 from spectra_kit._core.validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import Geometry
+from spectra_kit.geometry.shapes import Geometry, GeometryLike
 from spectra_kit.show.camera import View
 from spectra_kit.show.colours import diverging_colours, refined, sequential_colours, with_grey
 from spectra_kit.show.contours import level_lines, round_number, triangles_of
@@ -165,7 +165,7 @@ def _signed(value: float, digits: int) -> str:
 
 @plotted
 def plot_panels(
-    geometry: Geometry,
+    geometry: GeometryLike,
     rows: Sequence[Sequence[Panel]],
     *,
     path: PathLike | None = None,
@@ -213,7 +213,7 @@ def plot_panels(
 
 @plotted
 def plot_fields(
-    geometry: Geometry,
+    geometry: GeometryLike,
     fields: Mapping[str, ArrayLike] | Sequence[tuple[str, ArrayLike]],
     *,
     path: PathLike | None = None,

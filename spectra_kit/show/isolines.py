@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from spectra_kit._core.types import Bytes, Floats
 from spectra_kit._core.validate import check_points
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import Geometry
+from spectra_kit.geometry.shapes import Geometry, GeometryLike
 from spectra_kit.show.camera import View, fitting_size
 from spectra_kit.show.colours import distance_colours, largest
 from spectra_kit.show.contours import distance_levels, level_lines, triangles_of
@@ -32,7 +32,7 @@ _FOOT, _THICKNESS = 0.75, 0.13
 
 @plotted
 def plot_distance(
-    geometry: Geometry,
+    geometry: GeometryLike,
     distance: ArrayLike,
     *,
     path: PathLike | None = None,

@@ -14,7 +14,7 @@ from spectra_kit._core.records import Brief
 from spectra_kit._core.types import Bools, Floats, Ints
 from spectra_kit._core.validate import check_indices, check_positive, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import Geometry
+from spectra_kit.geometry.shapes import Geometry, GeometryLike
 from spectra_kit.maps import MapErrors, accuracy_curve, auc
 from spectra_kit.show.camera import View, fitting_size
 from spectra_kit.show.colours import (
@@ -102,8 +102,8 @@ class MatchedPair(Brief):
 
 @plotted
 def plot_correspondence(
-    source: Geometry,
-    target: Geometry,
+    source: GeometryLike,
+    target: GeometryLike,
     point_map: ArrayLike,
     *,
     path: PathLike | None = None,

@@ -12,7 +12,7 @@ from spectra_kit._core.validate import check_count
 from spectra_kit.eigen import Spectrum
 from spectra_kit.eigen.metrics import Comparison, align_modes
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import Geometry
+from spectra_kit.geometry.shapes import Geometry, GeometryLike
 from spectra_kit.show.camera import View
 from spectra_kit.show.fields import Panel, draw_gallery, draw_table, symmetric_limit
 from spectra_kit.show.layout import Page, short
@@ -28,7 +28,7 @@ _TIED = 1e-6  # relative; differences below it may be rounding
 
 @plotted
 def plot_modes(
-    geometry: Geometry,
+    geometry: GeometryLike,
     spectrum: Spectrum,
     *,
     path: PathLike | None = None,
@@ -79,7 +79,7 @@ def plot_modes(
 
 @plotted
 def plot_comparison(
-    geometry: Geometry,
+    geometry: GeometryLike,
     exact: Spectrum,
     predicted: Spectrum,
     comparison: Comparison,

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from spectra_kit._core.types import Bytes, Floats, Ints
 from spectra_kit._core.validate import check_indices, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import Geometry
+from spectra_kit.geometry.shapes import Geometry, GeometryLike
 from spectra_kit.show.camera import View, fitting_size
 from spectra_kit.show.fields import Panel, sequential_limits
 from spectra_kit.show.layout import (
@@ -47,7 +47,7 @@ _NARROWEST = 1.8  # of a picture with its caption
 
 @plotted
 def plot_signatures(
-    geometry: Geometry,
+    geometry: GeometryLike,
     signature: ArrayLike,
     scales: ArrayLike,
     *,

@@ -25,7 +25,7 @@ from spectra_kit._core.validate import check_count
 from spectra_kit.eigen import Spectrum
 from spectra_kit.eigen.metrics import Comparison, compare_spectra
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.geometry.shapes import Geometry, GeometryLike, TriangleMesh
 from spectra_kit.show.camera import View
 from spectra_kit.show.colours import diverging_colours
 from spectra_kit.show.contours import triangles_of
@@ -83,7 +83,7 @@ class Explorer:
 @checked
 def write_explorer(
     path: str | os.PathLike[str],
-    geometry: Geometry,
+    geometry: GeometryLike,
     exact: Spectrum,
     predicted: Spectrum | None = None,
     *,
