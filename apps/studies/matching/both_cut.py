@@ -25,18 +25,13 @@ from spectra_kit.geodesics import edge_graph, pair_distances
 from spectra_kit.maps import Match, match, match_part
 from studies.machine import describe_machine
 from studies.matching.parts import KINDS, REFERENCE, cut_pairs, left_of, overlap, part_of
-from studies.matching.region_pairs import Answer, match_region_pairs
 from studies.matching.subjects import Subject
 from studies.report import Table, write_report
 from studies.shapes import vertex_areas
 from studies.store import Record, Store
 from studies.study import Result, Study, run
 
-CONTENDERS: dict[str, Callable[..., Match | Answer]] = {
-    "match": match,
-    "match_part": match_part,
-    "region_pairs": match_region_pairs,
-}
+CONTENDERS: dict[str, Callable[..., Match]] = {"match": match, "match_part": match_part}
 BOTH = ("planes", "balls", "disjoint")  #: How both bodies of a pair are cut.
 
 
@@ -147,18 +142,14 @@ class BothParts(Study[str, BothCut]):
             "confidence": found.confidence,
             "convincing": found.convincing,
             "score": found.score,
+            "doubts": list(found.doubts),
             "cpu_seconds": seconds,
         }
-        if isinstance(found, Answer):
-            reached, covered = found.source_covered, found.covered
-            record |= {"margin": found.margin, "cost": found.cost, "gap": found.gap}
-        else:
-            reached = np.zeros(pieces[0].mesh.n, dtype=bool)
-            covered = np.ones(pieces[1].mesh.n, dtype=bool)
-            if found.covered is not None:  # of the source: what those points lead to
-                covered = np.asarray(found.covered)
-            reached[found.point_map[covered]] = True
-            record["doubts"] = list(found.doubts)
+        reached = np.zeros(pieces[0].mesh.n, dtype=bool)
+        covered = np.ones(pieces[1].mesh.n, dtype=bool)
+        if found.covered is not None:  # of the source: what those points lead to
+            covered = np.asarray(found.covered)
+        reached[found.point_map[covered]] = True
         sides = zip((reached, covered), bodies, pieces, left[::-1], strict=True)
         record["overlaps"] = [
             overlap(told, left_of(body, other)[piece.vertices], vertex_areas(piece.mesh))

@@ -201,7 +201,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     add("--pairs", type=int, default=60, metavar="N")
     add("--both", type=int, metavar="N", help="cut both bodies, and add N pairs that share nothing")
     add("--scenes", type=int, metavar="N", help="match scenes of several bodies instead, N pairs")
-    names = "match", "match_part", "region_pairs"
+    names = "match", "match_part"
     add("--by", nargs="+", choices=names, help="where both are cut; default: all")
     add("--seed", type=int, default=0, help="of the draw (%(default)s)")
 
