@@ -1,3 +1,3 @@
 """The version, readable where the package runs from its source tree, uninstalled."""
 
-VERSION = "0.3.0.dev0"
+VERSION = "0.3.0"
