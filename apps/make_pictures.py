@@ -266,7 +266,6 @@ def real_comparison(studio: Studio) -> None:
         compare_spectra(exact, predicted),
         path=studio.path("real_comparison.png"),
         modes=(20,),
-        view=show.View(turn=150),
         names=("exact: Arpack()", "predicted: Neo()"),
         page=show.Page(dpi=studio.dpi),
     )

@@ -127,10 +127,11 @@ class Canvas:
         """Set a text in this style, but smaller where it needs more room than there is."""
         at = x / self.width, 1 - y / self.height
         label = self.figure.text(*at, text, parse_math=False, **style)
-        box = label.get_window_extent()
-        needed = (box.height if label.get_rotation() else box.width) / self.dpi
-        if needed > room:
-            label.set_fontsize(float(label.get_fontsize()) * room / needed)
+        for _ in range(2):  # widths of small letters do not follow their size at once
+            box = label.get_window_extent()
+            needed = (box.height if label.get_rotation() else box.width) / self.dpi
+            if needed > room:
+                label.set_fontsize(float(label.get_fontsize()) * room / needed)
 
     def line(self, x: float, top: float, bottom: float, width: float) -> None:
         """Draw a dark upright line, so many points wide."""
