@@ -43,6 +43,7 @@ from spectra_kit.operators import (
 )
 from spectra_kit.operators.checks import of_shape
 
+_ROUNDED = 1e-9  # what weights that sum to 1 may lack
 _CORNER = 1e-6  # barycentric: this near to a corner is that
 _LOST = 3.0  # edges away from all that the map reaches, where nothing corresponds
 _BLUR = 1.0  # edges over which a map is smoothed before it is differentiated
@@ -220,6 +221,23 @@ class Carrier:
         """The same from target to source: each point of the source lies where the map meets it."""
         places, near = self._met(self._there.rows)
         return Carrier(self.target, self.source, chosen(near, places))
+
+    def then(self, other: Carrier) -> Carrier:
+        """Return what carries from this source to the target of another that begins at this target.
+
+        With two parts, each matched with a whole of their kind, from one to the other:
+        ``Carrier(part, whole, found).then(Carrier(second, whole, found_too).back)``, of which
+        `known` are the points of the second that the first has as well.
+        """
+        if not np.array_equal(other.source.points, self.target.points):
+            expected = f"begin at the target of this, {quantity(self.target.n, 'point')}"
+            raise InvalidInputError("other", expected, repr(other), advice="its `back` may do")
+        shared = other.known & (other.places @ self.known >= 1 - _ROUNDED)
+        if not shared.any():
+            raise InvalidInputError(
+                "other", "reach what this reaches", "two parts that have no point in common"
+            )
+        return Carrier(self.source, other.target, chosen(shared, other.places) @ self.places)
 
     def vectors(self, vectors: ArrayLike) -> Floats:
         """Carry tangent vectors of points (n1, 3): (n2, 3), stretched as the map stretches.

@@ -14,7 +14,7 @@ from studies.matching.subjects import subjects_in, truth_between
 
 import spectra_kit as sk
 from spectra_kit.geodesics import FacePoint
-from spectra_kit.geometry import TriangleMesh, torus
+from spectra_kit.geometry import TriangleMesh, largest_component, torus
 from spectra_kit.maps import Candidate, Carrier, Match
 from spectra_kit.maps.convert import into_triangles
 
@@ -237,6 +237,28 @@ def test_nothing_is_said_where_nothing_corresponds():
     assert carrier.landmarks([nose, tail]) == [None, tail]
     assert not carrier.back.known[nose]
     assert carrier.back.known[covered].all()
+
+
+def test_two_parts_meet_on_a_whole():
+    """What is known of the second is what the first has as well, at the same places."""
+    whole = bumpy()
+    x = whole.points[:, 0]
+
+    def part(kept):
+        cut = largest_component(TriangleMesh(whole.points, whole.faces[kept[whole.faces].all(1)]))
+        ones, own = np.ones(cut.mesh.n), np.arange(cut.mesh.n)
+        onto = sparse.csr_array((ones, (cut.vertex_index, own)), shape=(whole.n, cut.mesh.n))
+        return cut, Carrier(cut.mesh, whole, onto)
+
+    (left, one), (right, other), (_, third) = (part(kept) for kept in (x < 0.3, x > -0.3, x > 0.5))
+    through = one.then(other.back)
+    np.testing.assert_array_equal(through.known, np.isin(right.vertex_index, left.vertex_index))
+    assert 0.2 < through.known.mean() < 0.8
+    carried = through.values(left.mesh.points)
+    np.testing.assert_allclose(carried[through.known], right.mesh.points[through.known], atol=1e-12)
+    assert (through.source, through.target) == (left.mesh, right.mesh)
+    refused("other", "reach what this reaches", one.then, third.back)
+    refused("other", f"begin at the target of this, {whole.n} points", one.then, other)
 
 
 def test_clouds_carry_what_points_have():

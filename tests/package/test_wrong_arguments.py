@@ -232,6 +232,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("Carrier.face_values.values", np.ones(len(mesh.faces))),
         ("Carrier.landmarks.points", [0, 1]),
         ("Carrier.texture.coordinates", np.zeros((n, 2))),
+        ("Carrier.then.other", maps.Carrier(mesh, mesh, same)),
         ("tensors", np.tile(np.eye(3), (len(mesh.faces), 1, 1))),
         ("Laplacian.consistent_mass", sk.laplacian(mesh, mass="consistent").consistent_mass),
         ("tetrahedral_laplacian.tensors", np.eye(3)[None]),

@@ -19,20 +19,65 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from spectra_kit._core.types import Bools, Floats
+from spectra_kit import prepare, spectrum
+from spectra_kit._core.types import Bools, Floats, Ints
 from spectra_kit.errors import DoubtfulMatchWarning
 from spectra_kit.geodesics import edge_graph, pair_distances
-from spectra_kit.maps import Match, match, match_part
+from spectra_kit.geometry import TriangleMesh
+from spectra_kit.maps import Carrier, Match, Prepared, match, match_part
 from studies.machine import describe_machine
-from studies.matching.parts import KINDS, REFERENCE, cut_pairs, left_of, overlap, part_of
+from studies.matching.parts import (
+    KINDS,
+    MODES,
+    REFERENCE,
+    cut_pairs,
+    left_of,
+    overlap,
+    part_of,
+)
 from studies.matching.subjects import Subject
 from studies.report import Table, write_report
 from studies.shapes import vertex_areas
 from studies.store import Record, Store
 from studies.study import Result, Study, run
 
-CONTENDERS: dict[str, Callable[..., Match]] = {"match": match, "match_part": match_part}
+CONTENDERS = ("match", "match_part", "through")  #: The last with both parts on a third, whole body.
 BOTH = ("planes", "balls", "disjoint")  #: How both bodies of a pair are cut.
+
+
+class Found(NamedTuple):
+    """What is told of two parts."""
+
+    point_map: Ints  #: (n2,): -1 where nothing is known
+    reached: Bools  #: (n1,): which points of the source the target has as well
+    covered: Bools  #: (n2,): which points of the target the source has as well
+    confidence: float
+    convincing: bool
+
+
+def found_alone(
+    function: Callable[..., Match], source: TriangleMesh, target: TriangleMesh
+) -> Found:
+    """Match two parts by what knows of wholes alone."""
+    found = function(source, target)
+    covered = np.ones(target.n, dtype=bool) if found.covered is None else found.covered
+    reached = np.zeros(source.n, dtype=bool)
+    reached[found.point_map[covered]] = True
+    return Found(found.point_map, reached, covered, found.confidence, found.convincing)
+
+
+def found_through(whole: Prepared, body: TriangleMesh, *parts: TriangleMesh) -> Found:
+    """Match two parts with a whole of their kind, and go through it from one to the other."""
+    found = [match_part(prepare(spectrum(part, MODES), part), whole) for part in parts]
+    one, other = (Carrier(part, body, to) for part, to in zip(parts, found, strict=True))
+    convincing = all(match.convincing for match in found)
+    confidence = min(match.confidence for match in found)
+    if not (one.known & other.known).any():
+        reached, covered = (np.zeros(part.n, dtype=bool) for part in parts)
+        return Found(np.full(parts[1].n, -1), reached, covered, confidence, False)
+    there, back = one.then(other.back), other.then(one.back)
+    point_map = np.where(there.known, np.asarray(there.places.argmax(axis=1)).ravel(), -1)
+    return Found(point_map, back.known, there.known, confidence, convincing)
 
 
 class BothCut(NamedTuple):
@@ -124,10 +169,16 @@ class BothParts(Study[str, BothCut]):
         bodies = self._bodies(problem)
         left = both_landmarks(self.subjects[REFERENCE], problem)
         pieces = [part_of(body, kept) for body, kept in zip(bodies, left, strict=True)]
+        meshes = [piece.mesh for piece in pieces]
         start = time.process_time()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DoubtfulMatchWarning)
-            found = CONTENDERS[contender](*(piece.mesh for piece in pieces))
+            if contender == "through":
+                whole = self.subjects[REFERENCE].mesh
+                found = found_through(prepare(spectrum(whole, MODES), whole), whole, *meshes)
+            else:
+                function = match if contender == "match" else match_part
+                found = found_alone(function, *meshes)
         seconds = time.process_time() - start
         places = []
         for body, piece in zip(bodies, pieces, strict=True):
@@ -141,22 +192,18 @@ class BothParts(Study[str, BothCut]):
             "shared": float(both.sum() / min(kept.sum() for kept in left)),
             "confidence": found.confidence,
             "convincing": found.convincing,
-            "score": found.score,
-            "doubts": list(found.doubts),
+            "covered": float(vertex_areas(meshes[1])[found.covered].sum() / meshes[1].area),
             "cpu_seconds": seconds,
         }
-        reached = np.zeros(pieces[0].mesh.n, dtype=bool)
-        covered = np.ones(pieces[1].mesh.n, dtype=bool)
-        if found.covered is not None:  # of the source: what those points lead to
-            covered = np.asarray(found.covered)
-        reached[found.point_map[covered]] = True
-        sides = zip((reached, covered), bodies, pieces, left[::-1], strict=True)
+        sides = zip((found.reached, found.covered), bodies, pieces, left[::-1], strict=True)
         record["overlaps"] = [
             overlap(told, left_of(body, other)[piece.vertices], vertex_areas(piece.mesh))
             for told, body, piece, other in sides
         ]
+        images = found.point_map[marks[1]]
+        both &= images >= 0
         if both.any():
-            found_at = pieces[0].vertices[found.point_map[marks[1][both]]]
+            found_at = pieces[0].vertices[images[both]]
             errors = pair_distances(bodies[0].mesh, bodies[0].landmarks[both], found_at)
             record["error"] = 100 * float(errors.mean()) / bodies[0].mesh.area ** 0.5
         return record

@@ -149,7 +149,7 @@ def overlap(one: Bools, other: Bools, mass: Floats) -> float:
 
 # --- the study ---
 
-_MODES = 200
+MODES = 200  #: Of parts and wholes.
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -166,14 +166,14 @@ class Parts(Study[str, CutPair]):
 
     def facts(self, contender: str, problem: CutPair) -> dict[str, object]:
         bodies = (self.subjects[REFERENCE], *self._bodies(problem))
-        cut = {"kind": problem.kind, "seed": problem.seed, "modes": _MODES}
+        cut = {"kind": problem.kind, "seed": problem.seed, "modes": MODES}
         return {"bodies": [body.digest for body in bodies], **cut}
 
     def measure(self, contender: str, problem: CutPair) -> Record:
         one, other = self._bodies(problem)
         kept = cut_landmarks(self.subjects[REFERENCE], problem.kind, problem.seed)
         piece, left = part_of(one, kept), left_of(other, kept)
-        part, whole = (prepare(spectrum(m, _MODES), m) for m in (piece.mesh, other.mesh))
+        part, whole = (prepare(spectrum(m, MODES), m) for m in (piece.mesh, other.mesh))
         start = time.process_time()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DoubtfulMatchWarning)
@@ -201,7 +201,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     add("--pairs", type=int, default=60, metavar="N")
     add("--both", type=int, metavar="N", help="cut both bodies, and add N pairs that share nothing")
     add("--scenes", type=int, metavar="N", help="match scenes of several bodies instead, N pairs")
-    names = "match", "match_part"
+    names = "match", "match_part", "through"
     add("--by", nargs="+", choices=names, help="where both are cut; default: all")
     add("--seed", type=int, default=0, help="of the draw (%(default)s)")
 
