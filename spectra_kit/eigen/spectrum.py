@@ -502,10 +502,15 @@ def certificate_of(
     """Return what `Spectrum.certify` finds, with the `errors` that a solver told."""
     orthonormality_error = spectrum.orthonormality_error()  # with norms, for the residuals
     residuals = spectrum.residuals(laplacian)
-    spacing = spectrum._spacings(laplacian)
+    unit = np.maximum(spectrum.eigenvalues, spectrum._spacings(laplacian))
+    if errors is not None:  # none is below the rounding of u^T L u: of so many terms in each row,
+        L, U = laplacian.stiffness, spectrum.eigenvectors  # of whose sizes twice the diagonal tells
+        terms = L.nnz / laplacian.n * 2 * np.einsum("i,ij,ij->j", L.diagonal(), U, U)
+        least = np.finfo(np.float64).eps * terms / unit
+        errors = np.where(errors > 0, np.maximum(errors, least), errors)  # 0 is said of exact ones
     return Certificate(
         residuals=residuals,
-        relative_residuals=residuals / np.maximum(spectrum.eigenvalues, spacing),
+        relative_residuals=residuals / unit,
         orthonormality_error=orthonormality_error,
         n_zero_modes=spectrum._kernel_modes(laplacian),
         kernel_dimension=laplacian.kernel_dimension,

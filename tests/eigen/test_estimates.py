@@ -66,6 +66,15 @@ def test_within_three_of_the_true_error(shape):
     assert np.mean(ratio < 1 / 3) <= 0.02
 
 
+@pytest.mark.parametrize("shape", SHAPES)
+def test_no_estimate_is_below_rounding(shape):
+    """Squares of residuals say 1e-40 of modes that are as near as rounding lets them."""
+    laplacian = sk.robust_laplacian(SHAPES[shape]())
+    exact, loose = (sk.eigensolve(laplacian, K, sk.Lanczos(tol=tol)) for tol in (0.0, 1e-2))
+    off = np.abs(loose.eigenvalues - exact.eigenvalues)[1:] / exact.eigenvalues[1:]
+    assert (off <= 10 * loose.certificate.errors[1:]).all()
+
+
 def test_few_modes_are_told_one_by_one(animal, animal_spectrum):
     """Without a fit to those between."""
     for k in (2, 8, 9, 10):
