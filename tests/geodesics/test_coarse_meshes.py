@@ -5,7 +5,7 @@ import pytest
 from conftest import creature, joined, moved
 from geodesic_truths import by_libigl, cube, flat_square, middle_of, relative_error, soup, too_large
 
-from spectra_kit.errors import SplitSurfaceWarning
+from spectra_kit.errors import DoubtfulDistanceWarning, SplitSurfaceWarning
 from spectra_kit.geodesics import (
     Direct,
     Exact,
@@ -51,6 +51,21 @@ def test_coarse_meshes_take_exact_distances_and_the_heat_method_is_doubted(name)
     assert f"by {off:.0%}" in str(told[0].message)
     with too_large:  # of which it was told already; other sources are no better
         heat.distances([mesh.n - 1])
+
+
+def test_a_coarse_part_is_told_of_beside_a_fine_one() -> None:
+    """By as much as alone; of the other nothing is said."""
+    coarse = sphere(subdivisions=0).geometry
+    off = relative_error(by_heat(coarse, 0), by_libigl(coarse, 0))
+    heat = HeatGeodesics(joined(creature(1500), moved(coarse, 9, 0, 0)))
+    heat.distance(0)
+    with pytest.warns(DoubtfulDistanceWarning, match=f"from vertex 1500 are off by {off:.0%}"):
+        heat.distance(1500)
+
+
+def by_heat(mesh: TriangleMesh, source: int) -> np.ndarray:
+    with too_large:
+        return HeatGeodesics(mesh).distance(source).distance
 
 
 def test_coarse_meshes_in_parts_are_told_of() -> None:
