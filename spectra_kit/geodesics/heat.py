@@ -284,17 +284,19 @@ class HeatGeodesics:
     def _warn_of_size(self, field: DistanceField) -> None:
         """Say so where triangles are too large for the heat method: measured once for each part.
 
-        On meshes so small that exact distances cost little; on larger ones it does not happen, but
-        for triangles of very different size. Other options change distances on purpose.
+        On so few points that exact distances cost little, of the first parts that are asked for; on
+        larger ones it does not happen, but for triangles of very different size. Other options
+        change distances on purpose.
         """
         labels = self.triangulation.laplacian.component_labels
         part = int(labels[field.sources.vertices[0]])
         usual = self._time_coefficient <= 1 and self._boundary == "neumann"
         if not (usual and isinstance(self.geometry, TriangleMesh)):
             return
-        if not 3 <= (labels == part).sum() <= EXACT:
-            return
         if part not in self._errors:
+            measured = np.isin(labels, [part, *self._errors])
+            if (labels == part).sum() < 3 or measured.sum() > EXACT:
+                return
             first, faces = int(field.sources.vertices[0]), self.geometry.faces
             some, own = np.unique(faces[labels[faces[:, 0]] == part], return_inverse=True)
             piece = TriangleMesh(self.geometry.points[some], own.reshape(-1, 3))
