@@ -503,8 +503,10 @@ def certificate_of(
     orthonormality_error = spectrum.orthonormality_error()  # with norms, for the residuals
     residuals = spectrum.residuals(laplacian)
     unit = np.maximum(spectrum.eigenvalues, spectrum._spacings(laplacian))
-    if errors is not None:  # none is below the rounding of u^T L u: of so many terms in each row,
-        L, U = laplacian.stiffness, spectrum.eigenvectors  # of whose sizes twice the diagonal tells
+    if errors is not None:
+        # None is below the rounding of u^T L u: so many terms in each row, |u|^T |L| |u| in size,
+        # for which twice the diagonal of L stands.
+        L, U = laplacian.stiffness, spectrum.eigenvectors
         terms = L.nnz / laplacian.n * 2 * np.einsum("i,ij,ij->j", L.diagonal(), U, U)
         least = np.finfo(np.float64).eps * terms / unit
         errors = np.where(errors > 0, np.maximum(errors, least), errors)  # 0 is said of exact ones

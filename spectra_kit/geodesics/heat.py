@@ -35,6 +35,7 @@ from spectra_kit.geodesics.solvers import (
 )
 from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
 from spectra_kit.geodesics.system import COARSER, System
+from spectra_kit.geometry.components import component_of
 from spectra_kit.geometry.shapes import GeometryLike, TriangleMesh
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 
@@ -297,10 +298,11 @@ class HeatGeodesics:
             measured = np.isin(labels, [part, *self._errors])
             if (labels == part).sum() < 3 or measured.sum() > EXACT:
                 return
-            first, faces = int(field.sources.vertices[0]), self.geometry.faces
-            some, own = np.unique(faces[labels[faces[:, 0]] == part], return_inverse=True)
-            piece = TriangleMesh(self.geometry.points[some], own.reshape(-1, 3))
-            exact = exact_or_none(piece, int(np.searchsorted(some, first)))
+            first = int(field.sources.vertices[0])
+            of_part = labels[self.geometry.faces[:, 0]] == part
+            piece = component_of(self.geometry, np.flatnonzero(of_part))
+            some = piece.vertex_index
+            exact = exact_or_none(piece.mesh, int(np.searchsorted(some, first)))
             if exact is None:
                 return
             alone = check_sources(first, self.geometry)

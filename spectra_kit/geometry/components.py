@@ -60,7 +60,7 @@ def components(mesh: MeshLike) -> list[Component]:
     labels = _part_of_faces(mesh)
     order = np.argsort(labels, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
-    return [_component(mesh, faces) for faces in sorted(groups, key=lambda group: int(group[0]))]
+    return [component_of(mesh, faces) for faces in sorted(groups, key=lambda group: int(group[0]))]
 
 
 @checked
@@ -80,14 +80,15 @@ def largest_component(mesh: MeshLike) -> Component:
     areas = mesh.with_points(mesh.points / box_unit(mesh.points)).face_areas
     labels = _part_of_faces(mesh)
     largest = labels[np.bincount(labels, areas)[labels].argmax()]
-    return _component(mesh, np.flatnonzero(labels == largest))
+    return component_of(mesh, np.flatnonzero(labels == largest))
 
 
 def _part_of_faces(mesh: TriangleMesh) -> Ints:
     return mesh.component_labels[mesh.faces[:, 0]]
 
 
-def _component(mesh: TriangleMesh, face_index: Ints) -> Component:
+def component_of(mesh: TriangleMesh, face_index: Ints) -> Component:
+    """Return some of the faces as a mesh of its own."""
     vertex_index, corners = np.unique(mesh.faces[face_index], return_inverse=True)
     part = TriangleMesh(mesh.points[vertex_index], corners.reshape(-1, 3))
     return Component(part, vertex_index, face_index)
